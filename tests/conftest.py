@@ -14,14 +14,14 @@ for library in ("OPENBLAS", "OMP", "MKL"):
     # Tests run side by side: threads of theirs that wait for each other in loops would double the cost.
     os.environ.setdefault(f"{library}_NUM_THREADS", "1")  # read once, when numpy is imported
 
-# Else each process that a test starts compiles our sources anew; compiled kernels lie beside them anyway.
+# Else each process that a test starts compiles our sources again; compiled kernels are next to them anyway.
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 
 SLOW_TEST_S = 3600.0
 """The longest of the tests marked slow takes a third of it."""
 
 LAST = ("contract", "property", "unit")
-"""Folders of short files: begun last, so that no process is left alone with a long one."""
+"""Folders of short files: started last, so that no process is left alone with a long one."""
 AFTER_COMPILATION = "test_wheel.py"
 """Takes along the kernels that the tests before it have compiled."""
 

@@ -18,27 +18,27 @@ ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "examples" / "container" / "Dockerfile").read_text(encoding="utf-8")
 LINES = re.sub(r"\\\n", " ", re.sub(r"^#.*\n", "", TEXT, flags=re.MULTILINE)).splitlines()
 STEPS = [tuple(line.split(maxsplit=1)) for line in LINES if line.strip()]
-"""Each instruction and what it is told, in order."""
+"""Each instruction and its arguments, in order."""
 
 
-def told(instruction: str) -> list[str]:
+def arguments_of(instruction: str) -> list[str]:
     return [words for name, words in STEPS if name == instruction]
 
 
 def test_every_instruction_is_one() -> None:
     known = {"FROM", "WORKDIR", "COPY", "RUN", "USER", "VOLUME", "EXPOSE", "HEALTHCHECK", "ENTRYPOINT", "CMD"}
     assert {name for name, _ in STEPS} <= known
-    assert [words.partition(" ")[0] for words in told("FROM")] == ["python:3.11-slim"] * 2, (
+    assert [words.partition(" ")[0] for words in arguments_of("FROM")] == ["python:3.11-slim"] * 2, (
         "no registry's host"
     )
 
 
-def test_what_it_copies_from_here_is_here() -> None:
-    here = [words.split()[:-1] for words in told("COPY") if not words.startswith("--from")]
+def test_every_copied_file_exists() -> None:
+    here = [words.split()[:-1] for words in arguments_of("COPY") if not words.startswith("--from")]
     assert [name for names in here for name in names if not (ROOT / name).exists()] == []
 
 
-def test_it_runs_as_nobody_special_on_a_folder_of_its_own() -> None:
+def test_the_container_runs_as_an_unprivileged_user_on_its_own_folder() -> None:
     last = STEPS[max(index for index, step in enumerate(STEPS) if step[0] == "FROM") :]
     order = [step for step in last if step[0] in ("RUN", "USER", "VOLUME", "ENTRYPOINT")]
     assert [name for name, _ in order] == ["RUN", "USER", "VOLUME", "ENTRYPOINT"]
@@ -47,17 +47,17 @@ def test_it_runs_as_nobody_special_on_a_folder_of_its_own() -> None:
     assert (order[1][1], order[2][1]) == ("solimon", "/data")
 
 
-def test_what_it_starts_is_a_command_of_ours_on_the_port_it_asks() -> None:
-    program, *_ = json.loads(told("ENTRYPOINT")[0])
-    word, *arguments = json.loads(told("CMD")[0])
+def test_the_container_starts_our_command_on_its_exposed_port() -> None:
+    program, *_ = json.loads(arguments_of("ENTRYPOINT")[0])
+    word, *arguments = json.loads(arguments_of("CMD")[0])
     options = cli.commands[word].make_context(word, arguments).params
-    assert (program, str(options["port"])) == ("solimon", told("EXPOSE")[0])
-    assert options["data_dir"].is_relative_to(told("VOLUME")[0])
+    assert (program, str(options["port"])) == ("solimon", arguments_of("EXPOSE")[0])
+    assert options["data_dir"].is_relative_to(arguments_of("VOLUME")[0])
 
 
 @contextmanager
 def page(status: int) -> Iterator[int]:
-    """Serve a page that is well, or is not; its port."""
+    """Serve a page with this status; yield its port."""
 
     class Page(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
@@ -65,7 +65,7 @@ def page(status: int) -> Iterator[int]:
             self.end_headers()
 
         def log_message(self, *words: object) -> None:
-            """Say nothing."""
+            """Log nothing."""
 
     with HTTPServer(("127.0.0.1", 0), Page) as server:
         thread = threading.Thread(target=server.serve_forever)
@@ -78,13 +78,13 @@ def page(status: int) -> Iterator[int]:
 
 
 @pytest.mark.parametrize(("status", "healthy"), [(200, True), (503, False), (None, False)])
-def test_its_health_check_asks_the_page(status: int | None, healthy: bool) -> None:
-    python, dash_c, program = json.loads(told("HEALTHCHECK")[0].partition("CMD ")[2])
+def test_the_health_check_requests_the_page(status: int | None, healthy: bool) -> None:
+    python, dash_c, program = json.loads(arguments_of("HEALTHCHECK")[0].partition("CMD ")[2])
     assert (python, dash_c) == ("python", "-c")
     with page(status or 200) as port:
         asked = program.replace("8750", str(port))
         if status is not None:
             done = subprocess.run([sys.executable, "-c", asked], capture_output=True, check=False)
-    if status is None:  # nobody is there any more
+    if status is None:  # the client has gone
         done = subprocess.run([sys.executable, "-c", asked], capture_output=True, check=False)
     assert (done.returncode == 0) == healthy

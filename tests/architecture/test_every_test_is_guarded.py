@@ -115,7 +115,7 @@ def test_hears_no_signal():
     {hang}
 """
 HANGS = {
-    # As in a call of C that begins anew when a signal interrupts it.
+    # As in a call of C that restarts when a signal interrupts it.
     "to signals": "signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGALRM}); threading.Event().wait()",
     "to its own end": """while True:
         try:
@@ -126,8 +126,8 @@ HANGS = {
 
 
 @pytest.fixture(scope="module")
-def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
-    """Run these tests as the suite's are; return what each one failed with, "" when it passed."""
+def failures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Run these tests like the suite; return the failure message of each, "" if it passed."""
     folder = tmp_path_factory.mktemp("guarded")
     for name, text in (("conftest", CONFTEST), ("test_wrongdoers", WRONGDOERS), ("test_wide", WIDE)):
         (folder / f"{name}.py").write_text(text, encoding="utf-8")
@@ -148,27 +148,27 @@ def said(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     }
 
 
-def test_a_thread_left_behind_fails_its_test(said: dict[str, str]) -> None:
-    assert "left behind: thread 'forgotten'" in said["test_leaves_a_thread"]
-    assert said["test_ends_all_in_time"] == ""
+def test_a_thread_left_behind_fails_its_test(failures: dict[str, str]) -> None:
+    assert "left behind: thread 'forgotten'" in failures["test_leaves_a_thread"]
+    assert failures["test_ends_all_in_time"] == ""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="orphans and open files are looked up in /proc")
-def test_a_process_or_an_open_file_left_behind_fails_its_test(said: dict[str, str]) -> None:
-    assert "; process " in said["test_leaves_a_process"]
-    assert "process " in said["test_leaves_an_orphan"]
-    assert "test_wrongdoers.py)" in said["test_leaves_an_open_file"]
+def test_a_process_or_an_open_file_left_behind_fails_its_test(failures: dict[str, str]) -> None:
+    assert "; process " in failures["test_leaves_a_process"]
+    assert "process " in failures["test_leaves_an_orphan"]
+    assert "test_wrongdoers.py)" in failures["test_leaves_an_open_file"]
 
 
-def test_a_fixture_of_a_module_owes_its_threads_until_it_ends(said: dict[str, str]) -> None:
-    assert said["test_the_pool_grows"] == ""
-    assert "left behind: thread 'forgotten'" in said["test_is_the_last_with_the_pool"]
-    assert "::test_leaves_a_thread_beside_the_pool" in said["test_is_the_last_with_the_pool"]
-    assert "ThreadPool" not in said["test_is_the_last_with_the_pool"]
+def test_a_module_fixture_may_keep_its_threads_until_it_ends(failures: dict[str, str]) -> None:
+    assert failures["test_the_pool_grows"] == ""
+    assert "left behind: thread 'forgotten'" in failures["test_is_the_last_with_the_pool"]
+    assert "::test_leaves_a_thread_beside_the_pool" in failures["test_is_the_last_with_the_pool"]
+    assert "ThreadPool" not in failures["test_is_the_last_with_the_pool"]
 
 
-def test_a_warning_that_nobody_can_catch_fails_its_test(said: dict[str, str]) -> None:
-    assert "PytestUnraisableExceptionWarning" in said["test_drops_an_open_file"]
+def test_a_warning_that_cannot_be_caught_fails_its_test(failures: dict[str, str]) -> None:
+    assert "PytestUnraisableExceptionWarning" in failures["test_drops_an_open_file"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there the time limit is no signal")
@@ -188,6 +188,6 @@ def test_a_test_that_nothing_can_interrupt_ends_its_process(hang: str, tmp_path:
     assert "in test_hears_no_signal" in done.stderr
 
 
-def test_every_test_has_a_time_limit(said: dict[str, str], request: pytest.FixtureRequest) -> None:
-    assert "Timeout" in said["test_hangs"]
+def test_every_test_has_a_time_limit(failures: dict[str, str], request: pytest.FixtureRequest) -> None:
+    assert "Timeout" in failures["test_hangs"]
     assert 0.0 < float(request.config.getini("timeout")) <= 300.0

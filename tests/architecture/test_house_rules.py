@@ -1,4 +1,4 @@
-"""The tools that guard the house, run as a test so that nobody can forget them."""
+"""The linters and import rules, run as a test."""
 
 import subprocess
 import sys
@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
     ],
     ids=lambda command: "-".join(dict.fromkeys(command)),
 )
-def test_the_house_is_in_order(command: list[str]) -> None:
+def test_house_rules_hold(command: list[str]) -> None:
     module, *arguments = command
     program = (
         [sys.executable, "-c", "from importlinter.cli import lint_imports_command as main; main()"]

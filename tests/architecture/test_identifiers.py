@@ -15,7 +15,7 @@ EXEMPT: dict[str, str] = {}
 
 
 def refused(identifier: str) -> bool:
-    """Tell whether a part of an identifier, in the singular or plural, is on the list."""
+    """Return whether a part of an identifier, in the singular or plural, is on the list."""
     parts = re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", identifier).lower().split("_")
     return any(
         parts[-1] == word.removeprefix("*_") if "*" in word else {word, f"{word}s"} & set(parts)

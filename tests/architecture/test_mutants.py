@@ -50,5 +50,5 @@ def test_every_fault_is_noticed_by_the_test_that_it_names(options: list[str], fa
     command = [sys.executable, ROOT / "tests" / "mutants" / "run.py", "--json", *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
-    told = json.loads(done.stdout)
-    assert (told["faults"], told["unnoticed"]) == (len(faults), [])
+    report = json.loads(done.stdout)
+    assert (report["faults"], report["unnoticed"]) == (len(faults), [])

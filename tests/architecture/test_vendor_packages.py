@@ -83,7 +83,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recorded]:
     done = subprocess.run(
         [sys.executable, "-c", PROGRAM],
         input=json.dumps(asked),
-        # No compiler, and no tool of binutils: ctypes finds no library, whatever is installed here.
+        # No compiler, and no tool of binutils: ctypes finds no library.
         env={**os.environ, "PATH": str(folder / "no-programs")},
         capture_output=True,
         text=True,
@@ -91,16 +91,16 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recorded]:
         check=False,
     )
     assert done.returncode == 0, done.stderr
-    told = map(json.loads, done.stdout.splitlines())
-    return {name: Recorded(*one) for name, one in zip(COMMANDS, told, strict=True)}
+    records = map(json.loads, done.stdout.splitlines())
+    return {name: Recorded(*one) for name, one in zip(COMMANDS, records, strict=True)}
 
 
-def test_a_simulated_test_asks_for_none_of_them_and_for_no_compiler(recorded: dict[str, Recorded]) -> None:
+def test_a_simulated_test_needs_no_vendor_package_and_no_compiler(recorded: dict[str, Recorded]) -> None:
     done = recorded["simulated"]
-    # On a busy machine it tells of what it makes once and keeps.
+    # On a busy machine it reports what it compiles once.
     once = ("compiling the twin's loops", "building the twin's plates")
-    told = [line for line in done.stderr.splitlines() if not line.startswith(once)]
-    assert (done.code, told, done.asked) == (0, ["hour 0.5, set 1 of 2", "hour 1.0, set 2 of 2"], [])
+    messages = [line for line in done.stderr.splitlines() if not line.startswith(once)]
+    assert (done.code, messages, done.asked) == (0, ["hour 0.5, set 1 of 2", "hour 1.0, set 2 of 2"], [])
 
 
 def test_a_missing_extra_is_named_with_its_remedy(recorded: dict[str, Recorded]) -> None:

@@ -73,7 +73,7 @@ def test_the_wheel_and_the_constraints_alone_make_a_whole_environment(wheel: Pat
 
 
 def take_machine_code(site: Path) -> None:
-    """Put this checkout's compiled kernels beside sources that are the same: compiling takes 20 s.
+    """Copy the compiled kernels of this checkout to identical sources: compiling takes 20 s.
 
     Numba believes a cache whose source has the size and the time of the one it was made from.
     """

@@ -16,6 +16,6 @@ def browser():
 
 @pytest.fixture
 def open_page(browser):
-    """Opens pages; at the end none of them may have complained."""
+    """Open pages; fail at the end if one of them logged an error."""
     with watched_pages(browser) as open_:
         yield open_

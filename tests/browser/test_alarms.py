@@ -1,4 +1,4 @@
-"""Alarms and notes of an ended test: whatever an operator does is done at once, by mouse and by keys."""
+"""Alarms and notes of an ended test: each operation is executed at once, by mouse and by keyboard."""
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
@@ -42,7 +42,7 @@ def drawn_page(open_, url, **options):
 
 @pytest.fixture(scope="module")
 def page(service, browser):
-    """One page for all tests, as the service is one."""
+    """Yield one page for all tests."""
     with watched_pages(browser) as open_:
         yield drawn_page(open_, service.url)
 
@@ -62,7 +62,7 @@ def test_an_acknowledgement_of_an_ended_test_is_done_at_once(page):
     expect(alarm(page, 1).get_by_role("button", name="Acknowledge")).to_have_count(0)
 
 
-def test_a_note_is_made_by_keys_drawn_and_withdrawn(page):
+def test_a_note_is_added_by_keyboard_drawn_and_withdrawn(page):
     page.locator("#tof .plot").focus()
     page.keyboard.press("Home")
     page.keyboard.press("ArrowRight")
@@ -81,7 +81,7 @@ def test_a_note_is_made_by_keys_drawn_and_withdrawn(page):
     until(lambda: notes_drawn(page) == [], "the charts show it no more")
 
 
-def test_the_hours_shown_are_noted_by_mouse_with_what_a_person_typed(page):
+def test_the_visible_range_is_annotated_by_mouse_with_a_typed_note(page):
     page.goto(f"{page.url.split('?')[0]}?from_h=5&to_h=10")
     page.get_by_role("button", name="Add a note").click()
     page.get_by_role("button", name="The hours shown").click()
@@ -96,7 +96,7 @@ def test_the_hours_shown_are_noted_by_mouse_with_what_a_person_typed(page):
     until(lambda: notes_drawn(page) == [(5.0, 10.0, "<b>door</b> open")], "it is drawn at C")
 
 
-def test_an_alarm_is_shelved_and_told_apart(page):
+def test_a_shelved_alarm_is_shown_separately(page):
     alarm(page, 2).get_by_role("button", name="Shelve").click()
     page.keyboard.type("known leak")
     page.get_by_role("button", name="Shelve it").click()
@@ -120,13 +120,13 @@ def test_out_of_service_and_its_history_by_keys_alone(page):
     expect(alarm(page, 3)).to_contain_text("out of service · by dashboard · cable is being replaced")
 
 
-def test_what_to_do_is_told_beside_the_alarm(page):
+def test_the_actions_are_shown_with_the_alarm(page):
     alarm(page, 4).get_by_text("What now").click()
     expect(alarm(page, 4)).to_contain_text("what else lies on the volume")
     expect(alarm(page, 4)).to_contain_text("Decides: who looks after the computer")
 
 
-def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(service, open_page):
+def test_the_evidence_has_sentences_and_a_figure_that_opens_each_set(service, open_page):
     page = drawn_page(open_page, service.url, forgiven="404")  # no record of the sets is stored
     box = alarm(page, 1)
     box.get_by_text("Proof", exact=True).click()
@@ -141,16 +141,18 @@ def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(service, op
     assert shown["opens"] == list(range(N_SETS - 14, N_SETS))
     assert shown["y"]["assessed"] == [rows[index]["distance_squared"] for index in shown["opens"]]
     assert set(shown["y"]["limit"]) == {24.3}
-    links = box.locator(".evidence-sets a")
-    # The baseline's sets are not judged: three are, and the alarm's is the last of them.
-    judged = [rows[index] for index in (N_SETS - 4, N_SETS - 3, N_SETS - 2)]
-    said = links.all_inner_texts()
-    assert [text.partition(":")[0] for text in said] == [
-        f"Set {row['set_index']}, hour {row['due_h']:.1f}" for row in judged
+    links = box.locator(".proof-sets a")
+    # The baseline's sets are not assessed: three are, and that of the alarm is the last of them.
+    assessed = [rows[index] for index in (N_SETS - 4, N_SETS - 3, N_SETS - 2)]
+    link_texts = links.all_inner_texts()
+    assert [text.partition(":")[0] for text in link_texts] == [
+        f"Set {row['set_index']}, hour {row['due_h']:.1f}" for row in assessed
     ]
-    assert [text.endswith(", beyond the limit") for text in said] == [row["outlier"] for row in judged]
+    assert [text.endswith(", beyond the limit") for text in link_texts] == [
+        row["outlier"] for row in assessed
+    ]
     links.first.click()
-    expect(page.locator("#set")).to_have_attribute("data-set", f"B {judged[0]['set_index']}")
+    expect(page.locator("#set")).to_have_attribute("data-set", f"B {assessed[0]['set_index']}")
     page.keyboard.press("Escape")
     box.locator(".evidence-box .plot").focus()
     page.keyboard.press("Home")
@@ -168,7 +170,7 @@ def test_a_proof_is_sentences_and_a_picture_each_of_whose_sets_opens(service, op
     [(5, "thickness?position=A", 1e3, 6.3, 5), (6, "sets?position=D", 1, 7, 2)],
     ids=["thickness", "no_data"],
 )
-def test_the_picture_shows_what_the_kind_judges(page, number, column, factor, limit, sets):
+def test_the_figure_shows_the_quantity_that_the_kind_assesses(page, number, column, factor, limit, sets):
     alarm(page, number).get_by_text("Proof", exact=True).click()
     drawn = f"document.getElementById('evidence-chart-{number}').snapshot()"
     expect(alarm(page, number).locator(".evidence-sets a")).to_have_count(sets)
@@ -182,7 +184,7 @@ def test_the_picture_shows_what_the_kind_judges(page, number, column, factor, li
     assert shown["y"]["limit"] == pytest.approx([limit] * 14, rel=1e-12)
 
 
-def test_the_picture_of_a_kind_without_a_limit_of_its_own_counts_nothing(page):
+def test_the_figure_of_a_kind_without_its_own_limit_counts_nothing(page):
     alarm(page, 7).get_by_text("Proof", exact=True).click()
     until(
         lambda: page.evaluate("document.getElementById('evidence-chart-7')?.snapshot().drawn"), "it is drawn"

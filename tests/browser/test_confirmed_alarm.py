@@ -44,6 +44,6 @@ def test_from_suspicion_over_confirmation_to_the_explained_alarm(line, open_page
     )
     assert done.returncode == 0, done.stderr
     (written,) = (tmp_path / "told").glob("*.html")
-    told = written.read_text(encoding="utf-8")
-    assert "the same set raises the same alarm" in told
-    assert "Confirmed: the set at" in told
+    explanation = written.read_text(encoding="utf-8")
+    assert "the same set raises the same alarm" in explanation
+    assert "Confirmed: the set at" in explanation

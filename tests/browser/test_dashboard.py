@@ -30,7 +30,7 @@ SETTINGS = Settings(clock={"pace_h_per_s": 5.0})
 
 @pytest.fixture(scope="module")
 def history(tmp_path_factory):
-    """A folder that tests only read."""
+    """Return a folder that tests only read."""
     folder = FilledFolder(tmp_path_factory.mktemp("history"), SETTINGS)
     for index in range(N_SETS):
         folder.add_set(index, stored=False, shown=index == N_SETS - 1)
@@ -42,9 +42,9 @@ def history(tmp_path_factory):
 
 @pytest.fixture
 def filled(history, tmp_path):
-    """A copy of it that a recorder goes on with."""
+    """Return a copy of it that a recorder continues."""
     shutil.copytree(history, tmp_path, dirs_exist_ok=True)
-    folder = FilledFolder(tmp_path, SETTINGS, begun=True)
+    folder = FilledFolder(tmp_path, SETTINGS, exists=True)
     yield folder
     folder.close()
 
@@ -63,10 +63,10 @@ def service(filled):
 
 @pytest.fixture(scope="module")
 def ordered(history, tmp_path_factory):
-    """Another copy, of which no test takes a set."""
+    """Return another copy, of which no test takes a set."""
     place = tmp_path_factory.mktemp("ordered") / "data"
     shutil.copytree(history, place)
-    folder = FilledFolder(place, SETTINGS, begun=True)
+    folder = FilledFolder(place, SETTINGS, exists=True)
     with served(SETTINGS, place) as running:
         yield folder, running
     folder.close()
@@ -74,7 +74,7 @@ def ordered(history, tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def ordering(ordered, browser):
-    """Its folder, and one page for all orders of which nothing is left."""
+    """Yield its folder and one page for all commands that leave nothing behind."""
     folder, running = ordered
     with watched_pages(browser) as open_:
         page = open_(running.url)
@@ -87,14 +87,14 @@ def shown(page):
 
 
 def wait_for_sets(page, count):
-    """Until every chart has that many points and its fit is drawn."""
+    """Wait until every chart has that many points and its fit is drawn."""
     for name in ("distance", "tof", "amplitude-ratio", "thickness"):
         expect(page.locator(f"#{name}")).to_have_attribute("data-points", str(count))
     expect(page.locator("#tof")).to_contain_text("R²")
 
 
 def assert_drawn_is_the_api(page, service, position="B"):
-    """Drawn numbers equal the API's, scaled to the axis's unit."""
+    """Check that drawn numbers equal those of the API, scaled to the unit of the axis."""
     with service.client() as api:
         trend = api.get(f"/api/v1/trends/{position}").json()["columns"]
         wall = api.get("/api/v1/trends/A").json()["columns"]
@@ -132,7 +132,7 @@ def test_history_is_drawn_as_the_api_has_it(historian, open_page):
 
 
 def see_the_supply_and_climate(filled, page):
-    """With their quality and age."""
+    """Check supply and climate with their quality and age."""
     strip = page.locator("#environment")
     expect(strip).to_be_hidden()
     filled.add_environment(N_SETS - 1)
@@ -169,7 +169,7 @@ def see_the_live_record(filled, page):
     expect(readouts).to_contain_text(f"{psw_us:.1f} µs")
 
 
-def test_what_is_new_appears_without_a_reload(filled, service, open_page):
+def test_new_sets_appear_without_a_reload(filled, service, open_page):
     page = open_page(service.url)
     wait_for_sets(page, N_SETS)
     page.evaluate("window.sameDocument = true")
@@ -185,11 +185,11 @@ def test_what_is_new_appears_without_a_reload(filled, service, open_page):
     assert_drawn_is_the_api(page, service)
 
 
-def test_baseline_that_is_judged_later_is_drawn_again(tmp_path, open_page):
+def test_a_baseline_that_is_assessed_later_is_drawn_again(tmp_path, open_page):
     """Distances of the baseline's sets become known, all at once, when it is complete."""
     filled = FilledFolder(tmp_path, Settings())
     for index in range(3):
-        filled.add_set(index, stored=False, judged=False)
+        filled.add_set(index, stored=False, assessed=False)
     with served(filled.settings, tmp_path) as service:
         page = open_page(service.url)
         expect(page.locator("#tof")).to_have_attribute("data-points", "3")
@@ -210,7 +210,7 @@ def test_baseline_that_is_judged_later_is_drawn_again(tmp_path, open_page):
     filled.close()
 
 
-def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service, open_page):
+def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, service, open_page):
     page = open_page(service.url)
     wait_for_sets(page, N_SETS)
     alarms = page.locator("#alarms")
@@ -235,7 +235,7 @@ def test_alarm_appears_and_its_acknowledgement_becomes_an_order(filled, service,
     until(lambda: page.evaluate(last) == N_SETS, "the new one, too")
 
 
-def test_a_doubted_clock_is_trusted_beside_its_alarm(ordering):
+def test_an_unverified_clock_is_trusted_from_its_alarm(ordering):
     filled, page = ordering
     filled.add_alarm(None, N_SETS - 1, kind="clock_doubted", message="the system's clock says 2010")
     alarms = page.locator("#alarms")
@@ -250,7 +250,7 @@ def test_a_doubted_clock_is_trusted_beside_its_alarm(ordering):
     expect(alarms.get_by_role("button", name="The clock is right")).to_be_enabled()
 
 
-def test_finish_now_becomes_an_order_or_expires_on_the_page(filled, service, open_page, monkeypatch):
+def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, open_page, monkeypatch):
     page = open_page(service.url)
     notice = page.locator("#notice")
 
@@ -273,15 +273,13 @@ def test_finish_now_becomes_an_order_or_expires_on_the_page(filled, service, ope
 
 
 def answer(filled, kind, arguments, state="done", result=""):
-    """Answer the one waiting order as the recorder does."""
+    """Answer the one waiting command as the recorder does."""
     (command,) = filled.catalogue.open_commands()
     assert (command.kind, command.author, command.arguments) == (kind, "dashboard", arguments)
     filled.catalogue.finish_command(command.id, state, result)
 
 
-def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_until_the_release(
-    ordering, ordered, open_page
-):
+def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(ordering, ordered, open_page):
     (filled, page), (_, service) = ordering, ordered
     banner = page.locator("#paused")
     expect(banner).to_be_hidden()
@@ -299,7 +297,7 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     answer(filled, "hold", {"note": "once more"}, "refused", "the test is already on hold: held by ann")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
     refreshes = dashboard(page, "refreshes")
-    filled.say("orders", filled.due[N_SETS - 1].due_utc_ns, told="anything new")
+    filled.say("orders", filled.due[N_SETS - 1].due_utc_ns, text="anything new")
     until(lambda: dashboard(page, "refreshes") > refreshes, "another reading")
     expect(page.locator("#notice")).to_have_text("the test is already on hold: held by ann")
     expect(page.locator("#pause")).to_have_text("Hold")
@@ -313,9 +311,9 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     filled.say("hold", at, held="held by dashboard: hands in the rig", author="dashboard")
     expect(banner).to_contain_text("Held by dashboard: hands in the rig")
     expect(banner).to_contain_text("Nothing strikes until the test is released")
-    expect(page.locator("#pause")).to_be_hidden()
-    # Whoever opens the page later sees it too.
-    expect(open_page(service.url).locator("#paused")).to_contain_text("hands in the rig")
+    expect(page.locator("#hold")).to_be_hidden()
+    # A page opened later shows it too.
+    expect(open_page(service.url).locator("#held")).to_contain_text("hands in the rig")
     page.get_by_role("button", name="Release").click()
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
     page.get_by_role("button", name="Release now").click()
@@ -326,7 +324,7 @@ def test_hold_asks_for_a_reason_may_be_cancelled_or_refused_and_stays_in_sight_u
     expect(page.locator("#pause")).to_have_text("Hold")
 
 
-def test_a_person_is_asked_with_the_time_that_is_left_until_it_is_done(ordering, ordered, open_page):
+def test_a_person_is_prompted_with_the_remaining_time(ordering, ordered, open_page):
     (filled, page), (_, service) = ordering, ordered
     banner = page.locator("#prompt")
     expect(banner).to_be_hidden()
@@ -335,15 +333,15 @@ def test_a_person_is_asked_with_the_time_that_is_left_until_it_is_done(ordering,
     filled.say("asked", at, text="strike C now", **shot)
     expect(banner).to_contain_text("strike C now")
     expect(banner).to_contain_text("Position C, set 4, shot 7")
-    expect(page.locator("#prompt-remaining")).to_have_text(re.compile(r"(10|9) min"))
-    # Whoever opens the page later is asked too, and told what is left then.
-    filled.say("orders", at + 580 * 10**9, told="anything new")
-    expect(open_page(service.url).locator("#prompt-remaining")).to_have_text(re.compile(r"(20|1\d) s"))
+    expect(page.locator("#asked-left")).to_have_text(re.compile(r"(10|9) min"))
+    # A page opened later also prompts, with the remaining time.
+    filled.say("orders", at + 580 * 10**9, text="anything new")
+    expect(open_page(service.url).locator("#asked-left")).to_have_text(re.compile(r"(20|1\d) s"))
     filled.say("asked_over", at + 581 * 10**9)
     expect(banner).to_be_hidden()
 
 
-def test_a_retired_transducer_is_shown_with_its_reason_and_reinstated(ordering):
+def test_a_disabled_transducer_is_shown_with_its_reason_and_enabled(ordering):
     filled, page = ordering
     expect(page.locator("#disabled")).to_be_hidden()
     filled.retire("C", N_SETS)
@@ -449,7 +447,7 @@ def test_tiles_are_drawn_before_other_scripts_and_answers_are_asked_for(filled, 
     assert "/healthz" not in asked
 
 
-def test_a_restart_of_service_and_recorder_is_said_and_loses_no_event(filled, open_page):
+def test_a_restart_of_service_and_recorder_is_shown_and_loses_no_event(filled, open_page):
     app = create_app(filled.settings, filled.folder)
     with served_app(app) as first:
         port = int(first.netloc.rpartition(":")[2])
@@ -457,10 +455,10 @@ def test_a_restart_of_service_and_recorder_is_said_and_loses_no_event(filled, op
         wait_for_sets(page, N_SETS)
     expect(page.locator("#connection")).to_have_text("Connection lost, retrying")
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
-    # Nobody serves: what happens now is heard afterwards, the recorder's restart too.
+    # No service runs: the page gets these events afterwards, the recorder's restart too.
     filled.add_set(N_SETS, stored=False)
     filled.recorder_ends()
-    again = FilledFolder(filled.folder, SETTINGS, begun=True)
+    again = FilledFolder(filled.folder, SETTINGS, exists=True)
     again.say("recorder_started", filled.due[N_SETS].due_utc_ns)
     again.add_alarm("B", N_SETS)
     with served(filled.settings, filled.folder, port=port):
@@ -487,13 +485,13 @@ WRITTEN = """() => {
 }"""
 
 
-def test_words_on_a_chart_begin_at_their_hour_and_do_not_overlap(filled, service, open_page):
+def test_labels_on_a_chart_start_at_their_hour_and_do_not_overlap(filled, service, open_page):
     for hour, text in ((10.0, "couplant renewed"), (10.5, "door open"), (11.0, "bath refilled")):
         filled.annotate(hour, text)
     page = open_page(service.url)
     wait_for_sets(page, N_SETS)
     page.evaluate(WRITTEN)
-    page.set_viewport_size({"width": 1300, "height": 900})  # all is drawn anew
+    page.set_viewport_size({"width": 1300, "height": 900})  # everything is drawn again
     names = ("baseline", "couplant renewed", "door open", "bath refilled")
     seen = until(
         lambda: (
@@ -519,7 +517,7 @@ def test_words_on_a_chart_begin_at_their_hour_and_do_not_overlap(filled, service
         assert a["right"] < b["left"] or abs(a["y"] - b["y"]) > 10.0
 
 
-def test_a_wall_that_is_named_stands_on_its_tile_with_the_chart_and_its_limit(filled, service, open_page):
+def test_a_diagnosed_wall_is_shown_on_its_tile_with_the_chart_and_its_limit(filled, service, open_page):
     assessment = filled.assessment("C", N_SETS - 1, 30.0)
     named = {"chart": 4.0 * LIMIT_CHART, "chart_alarm": True, "cause": "wall", "cause_probability": 0.972}
     filled.add_alarm("C", N_SETS - 1)

@@ -90,7 +90,7 @@ def demo(tmp_path):
 
 
 def asked_until(page, found, what):
-    """Ask again and again, and leave the page time: Playwright hears of it only while it waits."""
+    """Query repeatedly and leave the page time: Playwright handles events only while it waits."""
 
     def ask():
         page.evaluate("new Promise(done => setTimeout(done, 100))")
@@ -100,7 +100,7 @@ def asked_until(page, found, what):
 
 
 @pytest.mark.slow
-def test_the_demo_comes_alive_is_held_released_finished_and_takes_an_acknowledgement(demo, open_page):
+def test_the_demo_is_paused_resumed_finished_and_an_alarm_acknowledged(demo, open_page):
     url = demo.line_with(r"http://127\.0\.0\.1:\d+")
     # The page stays open while the demo ends: only then it may miss its service.
     page = open_page(url, forgiven=r"net::ERR_|WebSocket connection")

@@ -37,7 +37,7 @@ def service(filled):
 
 @pytest.fixture(scope="module")
 def page(service, browser):
-    """One page for all of them: two positions, a range of hours, and a set."""
+    """Yield one page for all tests: two positions, a range of hours, and a set."""
     context = browser.new_context(viewport=DESK, permissions=["clipboard-read", "clipboard-write"])
     page = context.new_page()
     page.goto(f"{service.url}?{ZOOM}&position=B&compare=C&feature=isw_fwhm_s&set={LAST}")
@@ -52,7 +52,7 @@ def charts(page):
 
 
 def opened(page, of):
-    """The menu that says so, open."""
+    """Return the menu with this label, opened."""
     menu = page.locator("details.export", has=page.locator(f'summary[aria-label="Export: {of}"]'))
     if menu.get_attribute("open") is None:
         menu.locator("summary").click()
@@ -61,7 +61,7 @@ def opened(page, of):
 
 
 def run_copied(page, of):
-    """What a person has who copies the Python of a menu and runs it."""
+    """Copy the Python of a menu and run it; return its variables."""
     menu = opened(page, of)
     menu.get_by_role("button", name="Copy as Python").click()
     expect(menu.get_by_role("status")).to_have_text("Copied")
@@ -75,7 +75,7 @@ def run_copied(page, of):
 
 
 def shown(page, chart, key):
-    """Hours and values of a line of a chart, within the zoom."""
+    """Return hours and values of a line of a chart within the zoom."""
     drawn = charts(page)[chart]
     return np.array(
         [
@@ -162,7 +162,7 @@ def test_every_link_of_every_menu_leads_to_its_file(page, service):
 
 
 @pytest.mark.slow
-def test_the_report_shuts_nobody_out_and_prints(service, open_page, tmp_path):
+def test_the_report_is_accessible_and_printable(service, open_page, tmp_path):
     target = tmp_path / "report.html"
     with service.client() as api:
         target.write_bytes(api.get("/api/v1/report").content)
@@ -175,7 +175,7 @@ def test_the_report_shuts_nobody_out_and_prints(service, open_page, tmp_path):
     assert page.pdf(prefer_css_page_size=True).startswith(b"%PDF")
 
 
-def test_the_menu_is_a_keyboard_s_too_and_shuts_nobody_out(page):
+def test_the_menu_works_with_the_keyboard_and_is_accessible(page):
     summary = page.locator('summary[aria-label="Export: Amplitude ratio"]')
     summary.focus()
     page.keyboard.press("Enter")

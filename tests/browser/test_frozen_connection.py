@@ -90,7 +90,7 @@ def filled(tmp_path):
 
 
 def see_it_lost_and_found(filled, page, tunnel, after_freezing=lambda: None):
-    """From "Live" over the freezing to the thawing; what happened meanwhile is shown, and the live record."""
+    """Check the page from "Live" over freezing to thawing, with the missed events and the live record."""
     tile = page.locator('.tile[data-position="B"]')
     expect(page.locator("#connection")).to_have_text("Live")
     expect(tile).to_have_attribute("data-stale", "false")

@@ -1,4 +1,4 @@
-"""A page that somebody leaves open: through a whole test, asleep, and on paper."""
+"""A page that stays open: through a whole test, asleep, and on paper."""
 
 import pytest
 from support.browser_pages import DESK, dashboard, expect
@@ -21,7 +21,7 @@ LARGEST_GROWTH_BYTES = 10e6
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    """One test that goes on from test to test."""
+    """Return one test that all tests of the module extend."""
     folder = FilledFolder(tmp_path_factory.mktemp("watched"), SETTINGS, shots_per_set=3)
     for index in range(N_SETS):
         folder.add_set(index, stored=index == N_SETS - 1)

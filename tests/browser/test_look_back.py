@@ -31,12 +31,12 @@ RENEWED = 50
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    """One test that goes on from test to test: each adds sets, and counts from what is there."""
+    """Return one test that all tests of the module extend: each adds sets and counts from there."""
     folder = FilledFolder(tmp_path_factory.mktemp("back"), SETTINGS, shots_per_set=SHOTS)
-    judged = folder.assessment
+    make_assessment = folder.assessment
 
     def with_an_outlier(position, index, hour):
-        row = judged(position, index, hour)
+        row = make_assessment(position, index, hour)
         if position == "D" and index >= RENEWED:
             return replace(row, in_baseline=True, chart=None)
         if (position, index) != ("B", OUTLIER):
@@ -114,7 +114,7 @@ class TestSets:
         ):
             expect(panel).to_contain_text(text)
 
-    def test_alarms_and_rows_open_sets_too_and_keys_go_on_and_back(self, filled, service, page):
+    def test_alarms_and_rows_open_sets_and_keys_step_between_sets(self, filled, service, page):
         show(page)
         wait_for(page)
         page.get_by_role("link", name=f"Open set {LAST - 1} of position C").click()
@@ -241,7 +241,7 @@ def test_without_a_shared_worker_each_tab_has_its_own(filled, service, browser):
     context.close()
 
 
-def test_an_answer_that_never_comes_is_said_with_the_age_of_what_is_shown(filled, service, open_page):
+def test_a_missing_answer_is_shown_with_the_age_of_the_data(filled, service, open_page):
     page = open_page(service.url, forgiven="ERR_")
     wait_for(page)
     page.clock.install()
@@ -268,7 +268,7 @@ def test_an_open_set_fits_every_width(filled, service, open_page):
         until(lambda width=width: page.evaluate("document.documentElement.scrollWidth") <= width, "it fits")
 
 
-def test_an_outlier_is_seen_in_its_bin_and_a_zoom_shows_single_sets(filled, service, browser):
+def test_an_outlier_is_visible_in_its_bin_and_a_zoom_shows_single_sets(filled, service, browser):
     context = browser.new_context(viewport=DESK)
     # As a test of many sets, without recording them.
     context.route(
@@ -288,7 +288,7 @@ def test_an_outlier_is_seen_in_its_bin_and_a_zoom_shows_single_sets(filled, serv
     context.close()
 
 
-def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_page):
+def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
     """Retired, held, stale and lost: what is old or gone must be as readable as what is new."""
     index = 1 + filled.catalogue.rows(SetRow, position="B")[-1].set_index
     filled.retire("C", index)
@@ -297,7 +297,7 @@ def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_
     off = DriveState(tripped="no recorder was heard")
     write_stored_state(filled.folder, stored_state_now(off, output="off", age_s=2.0))
     # The experiment has gone on for hours without a set.
-    filled.say("orders", filled.due[index + 40].due_utc_ns, told="anything")
+    filled.say("orders", filled.due[index + 40].due_utc_ns, text="anything")
     page = open_page(f"{service.url}?position=B&set={LAST}&compare=D&from_h=2&to_h=26&axis=local")
     expect(page.locator("#set")).to_have_attribute("data-waveforms", str(SHOTS))
     expect(page.locator("#paused")).to_be_visible()
@@ -315,7 +315,7 @@ def test_nobody_is_shut_out_in_any_state_and_either_theme(filled, service, open_
     filled.reinstate("C")
 
 
-def test_nobody_is_shut_out_while_the_first_answer_is_awaited(filled, service, browser):
+def test_the_page_is_accessible_while_it_waits_for_the_first_answer(filled, service, browser):
     context = browser.new_context(viewport=DESK)
     context.route(re.compile("/trends/"), lambda route: None)
     page = context.new_page()
@@ -328,7 +328,7 @@ def test_nobody_is_shut_out_while_the_first_answer_is_awaited(filled, service, b
 
 
 def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(filled, service, open_page):
-    """Position D was coupled anew before set 50: its second baseline collects from there on."""
+    """Position D was coupled again before set 50: its second baseline collects from there on."""
     asked = {"author": "ben", "because": "coupled anew", "utc_ns": filled.epoch_ns}
     first = frozen_baseline("D", id=4)
     rows = renewed("D", filled.settings, first, first_set=RENEWED, **asked)
@@ -345,7 +345,7 @@ def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(fi
     ]
     shown = np.array(dashboard(page, "charts.tof.y")["tof_pp_us"])
     values = np.array([filled.features("D", k, filled.due[k].due_h)["tof_pp_s"] for k in range(count)])
-    # Each set by the mean of the baseline that it belongs to or is judged by, up to rounding.
+    # Each set by the mean of the baseline that it belongs to or is assessed by, up to rounding.
     old, new = values[:48].mean(), values[RENEWED:].mean()
     np.testing.assert_allclose(shown[:RENEWED], 100.0 * (values[:RENEWED] / old - 1.0), rtol=0, atol=1e-9)
     np.testing.assert_allclose(shown[RENEWED:], 100.0 * (values[RENEWED:] / new - 1.0), rtol=0, atol=1e-9)
@@ -357,7 +357,7 @@ def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(fi
     expect(card).to_contain_text(f"with the set of hour {hours[1]:.1f}")
 
 
-def test_retirements_and_holds_are_marks(filled, service, open_page):
+def test_disabled_and_paused_intervals_are_marked(filled, service, open_page):
     page = open_page(service.url)
     wait_for(page)
     index = len(dashboard(page, "charts.tof.x"))

@@ -20,7 +20,7 @@ N_SETS = 6
 
 @pytest.fixture(scope="module")
 def tests(tmp_path_factory):
-    """A test, its twin that is a few sets further, and a folder that is not there."""
+    """Yield a test, a copy that is a few sets further, and a missing folder."""
     place = tmp_path_factory.mktemp("many")
     found = {}
     for name, sets in (("Plate 7", N_SETS), ("Twin of plate 7", N_SETS + 3)):
@@ -89,9 +89,7 @@ def test_the_list_has_no_violation_of_accessibility_and_fits_a_phone(service, op
 
 
 @pytest.mark.slow
-def test_a_series_of_the_twin_is_drawn_on_the_axis_of_the_test_and_leads_to_its_set(
-    tests, service, open_page
-):
+def test_a_twin_series_is_drawn_on_the_axis_of_the_test_and_opens_its_set(tests, service, open_page):
     page = open_page(f"{service.url}tests/plate-7/?position=B")
     drawn(page)
     choice = page.locator("#others select")
@@ -118,7 +116,7 @@ def test_a_series_of_the_twin_is_drawn_on_the_axis_of_the_test_and_leads_to_its_
     until(lambda: key in dashboard(page, "charts")["tof"]["y"], "the address brings it back")
     page.locator("#tof .plot").scroll_into_view_if_needed()
     over = page.locator("#tof .u-over")
-    # While other series come the plot is made anew: there is none for a moment.
+    # While other series come the plot is made again: there is none for a moment.
     box = until(over.bounding_box, "the plot is there")
     low, high = dashboard(page, "charts.tof.span")
     last = N_SETS + 2  # only the twin has got there
@@ -133,7 +131,7 @@ def test_a_series_of_the_twin_is_drawn_on_the_axis_of_the_test_and_leads_to_its_
     expect(page.locator("#others li")).to_have_count(0)
 
 
-def test_another_test_that_cannot_be_shown_says_so_where_it_was_chosen(service, open_page):
+def test_another_test_that_cannot_be_shown_is_reported_in_the_list(service, open_page):
     page = open_page(f"{service.url}tests/plate-7/?position=B&compare=unplugged:B,nobody:B,C")
     drawn(page)
     rows = page.locator("#others li")
@@ -157,7 +155,7 @@ def test_a_hidden_page_leaves_its_connection_to_others_and_misses_nothing(tests,
 
     until(lambda: streams() == 1, "the page follows the test")
     hide(True)
-    # The service sees that somebody has left when it sends again.
+    # The service notices a closed connection when it sends again.
     until(lambda: (filled.say("nothing"), streams())[1] == 0, "the connection is free")
     newest = filled.say("nothing")
     hide(False)

@@ -1,4 +1,4 @@
-"""Notifications on the page: how a receiver stands, a trial by keyboard, the log; read by everybody."""
+"""Notifications on the page: status of receivers, a test message by keyboard, the log; read by everybody."""
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe

@@ -54,7 +54,7 @@ def service(filled):
 
 @pytest.fixture(scope="module")
 def shared(service, browser):
-    """A page for orders that leave nothing behind, with the card of run control open."""
+    """Yield a page for commands that leave nothing behind, with the control card open."""
     with watched_pages(browser) as open_:
         page = open_(service.url, name="ann")
         page.get_by_text("Run control").click()
@@ -62,7 +62,7 @@ def shared(service, browser):
 
 
 def answered(filled, author="ann"):
-    """Take the one waiting order as the recorder does; its kind and arguments."""
+    """Take the one waiting command as the recorder does; return its kind and arguments."""
     (command,) = filled.catalogue.open_commands()
     assert command.author == author
     filled.catalogue.finish_command(command.id, "done", "done")
@@ -100,7 +100,7 @@ def answered(filled, author="ann"):
         ),
     ],
 )
-def test_an_order_names_its_consequence_and_is_given_by_a_second_step_alone(
+def test_a_command_states_its_consequence_and_needs_a_second_step(
     filled, shared, button, consequences, confirm, order
 ):
     page = shared
@@ -124,7 +124,7 @@ def test_an_order_names_its_consequence_and_is_given_by_a_second_step_alone(
     expect(asked).to_be_enabled()
 
 
-def test_a_baseline_tells_how_far_it_can_be_trusted_and_is_signed_or_renewed(filled, shared):
+def test_a_baseline_shows_its_quality_and_is_approved_or_renewed(filled, shared):
     page = shared
     card, dialog = page.locator("#baseline"), page.get_by_role("dialog")
     expect(card.locator("summary")).to_contain_text("Baseline of B Proposed: nobody has signed it")
@@ -163,7 +163,7 @@ def test_a_baseline_tells_how_far_it_can_be_trusted_and_is_signed_or_renewed(fil
     expect(card).to_contain_text("with the set of hour 24.0")
 
 
-def test_a_baseline_without_limits_is_told_and_not_offered_to_be_signed(filled, service, open_page):
+def test_a_baseline_without_limits_is_shown_and_cannot_be_approved(filled, service, open_page):
     why = "a baseline of 14 sets; it needs 15"
     nothing = {
         "limit_f": None,
@@ -188,7 +188,7 @@ def test_a_baseline_without_limits_is_told_and_not_offered_to_be_signed(filled, 
     expect(card.get_by_role("button", name="Sign it")).to_have_count(0)
 
 
-def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(filled, shared):
+def test_the_supply_values_are_limited_by_the_caps_and_shown_on_the_button(filled, shared):
     page = shared
     page.get_by_role("button", name="Supply on, or its limits").click()
     dialog = page.get_by_role("dialog")
@@ -207,7 +207,7 @@ def test_the_supply_s_values_are_chosen_within_its_caps_and_stand_on_the_button(
     assert answered(filled) == ("supply_on", {"voltage_v": 5.5, "current_limit_a": 0.25, "note": ""})
 
 
-def test_a_name_is_asked_for_once_and_remembered(filled, service, open_page):
+def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
     page = open_page(service.url, name=None)
     hold, dialog = page.get_by_role("button", name="Hold", exact=True), page.get_by_role("dialog")
     for name in (None, "Ben B"):
@@ -237,7 +237,7 @@ def test_a_name_is_asked_for_once_and_remembered(filled, service, open_page):
     expect(page.get_by_role("button", name="Cleo (claimed)")).to_be_visible()
 
 
-def test_who_held_the_test_yesterday_is_found_by_three_clicks(service, open_page, tmp_path):
+def test_the_person_who_paused_the_test_is_found_with_three_clicks(service, open_page, tmp_path):
     audit, now = Audit(service.app.state.context.data_folder), datetime.now().astimezone()
     yesterday = now.replace(hour=12) - timedelta(days=1)
     deeds = [
@@ -246,8 +246,8 @@ def test_who_held_the_test_yesterday_is_found_by_three_clicks(service, open_page
         ("ben", "log_in", yesterday),
     ]
     for who, what, moment in deeds:
-        told = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
-        audit.tell(**told, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
+        entry = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
+        audit.tell(**entry, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
     for _ in range(60):
         audit.tell(
             who="ann", what="release", role="admin", source="terminal", result="refused", why="no hold"
@@ -282,7 +282,7 @@ def test_who_held_the_test_yesterday_is_found_by_three_clicks(service, open_page
     ("role", "held", "control"),
     [("viewer", False, False), ("operator", True, False), ("engineer", True, True)],
 )
-def test_what_a_role_does_not_allow_is_told_and_cannot_be_pressed(
+def test_a_button_that_the_role_does_not_allow_is_disabled_with_its_reason(
     filled, open_page, tmp_path, role, held, control
 ):
     tokens = tmp_path / "tokens.json"

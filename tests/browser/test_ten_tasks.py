@@ -44,17 +44,17 @@ GO_TO = """view => {
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     folder = FilledFolder(tmp_path_factory.mktemp("tasks"), Settings(), shots_per_set=SHOTS)
-    judged = folder.assessment
+    make_assessment = folder.assessment
 
     def with_outliers_at_c(position, index, hour):
-        row = judged(position, index, hour)
+        row = make_assessment(position, index, hour)
         outlier = position == "C" and index in OUTLIERS
-        judgement = outlier if index >= N_BASELINE else None
-        return replace(row, distance_squared=400.0 if outlier else 5.0, outlier=judgement)
+        expected_outlier = outlier if index >= N_BASELINE else None
+        return replace(row, distance_squared=400.0 if outlier else 5.0, outlier=expected_outlier)
 
     folder.assessment = with_outliers_at_c
     for index in range(N_SETS):
-        # Beside C's set the page draws one of the baseline: the first, where all have one distance.
+        # Next to C's set the page draws one of the baseline: the first, where all have one distance.
         folder.add_set(index, stored=index == 0 or index > 40)
     for number, position in ((OF_B, "B"), (OF_C, "C")):
         assert folder.add_alarm(position, LAST - 1) == number
@@ -69,9 +69,9 @@ def service(filled):
     with served(filled.settings, filled.folder) as running:
         audit, noon = Audit(filled.folder), datetime.now().astimezone().replace(hour=12)
         for who, what, days in (("old", "hold", 2), ("cleo", "hold", 1), ("ben", "log_in", 1)):
-            told = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
+            entry = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
             at = noon - timedelta(days=days)
-            audit.tell(**told, arguments={"note": "new sensor"}, utc_ns=int(at.timestamp()) * 10**9)
+            audit.tell(**entry, arguments={"note": "new sensor"}, utc_ns=int(at.timestamp()) * 10**9)
         yield running
 
 
@@ -83,7 +83,7 @@ def api(service):
 
 @pytest.fixture(scope="module")
 def page(service, browser):
-    """One page for all tasks."""
+    """Yield one page for all tasks."""
     with watched_pages(browser) as open_:
         page = open_(service.url, name="ann", permissions=["clipboard-read", "clipboard-write"])
         page.context.add_init_script(COUNT_PRESSES)
@@ -100,12 +100,12 @@ def click(selector):
 
 
 def point(chart, hour):
-    """Click on what a chart has at an hour."""
+    """Click on the point of a chart at an hour."""
     return "point", (chart, hour)
 
 
 def keys(text):
-    """Type without a click."""
+    """Type keys without a click."""
     return "type", text
 
 
@@ -167,7 +167,7 @@ def is_who_held_it_yesterday(page, api, filled):
     assert held["who"] == "cleo"
 
 
-def is_seen_by_whoever_gets_the_link(page, api, filled):
+def check_link_shows_the_same_view(page, api, filled):
     expect(page.locator("#toolbar [role=status]")).to_have_text("Copied")
     before, link = what_is_drawn(page), page.evaluate("navigator.clipboard.readText()")
     assert link == page.url
@@ -194,8 +194,8 @@ def is_the_file_of_what_is_shown(page, api, filled):
 def is_acknowledged_with_its_note(page, api, filled):
     expect(page.locator(f'[data-alarm="{OF_B}"]')).to_contain_text("acknowledged by ann: couplant renewed")
     (alarm,) = [one for one in api("/alarms").json()["items"] if one["id"] == OF_B]
-    told = [alarm[name] for name in ("state", "acknowledged_by", "note")]
-    assert told == ["acknowledged", "ann", "couplant renewed"]
+    alarm_fields = [alarm[name] for name in ("state", "acknowledged_by", "note")]
+    assert alarm_fields == ["acknowledged", "ann", "couplant renewed"]
 
 
 def are_the_last_24_hours(page, api, filled):
@@ -209,11 +209,11 @@ def are_the_last_24_hours(page, api, filled):
 def is_the_waterfall_around_the_alarm(page, api, filled):
     (alarm,) = [one for one in api("/alarms").json()["items"] if one["id"] == OF_C]
     around = [alarm["raised_h"] - 5, alarm["raised_h"] + 5]
-    told = until(lambda: (found := dashboard(page, "waterfall"))["ready"] and found, "it is drawn")
-    assert told["hours"] == around
-    assert told["header"]["position"] == alarm["position"] == "C"
+    waterfall = until(lambda: (found := dashboard(page, "waterfall"))["ready"] and found, "it is drawn")
+    assert waterfall["hours"] == around
+    assert waterfall["header"]["position"] == alarm["position"] == "C"
     rows = api(f"/waterfall/C?from_h={around[0]}&to_h={around[1]}&columns=2&format=json").json()
-    assert told["header"]["first_set"] == rows["first_set"]
+    assert waterfall["header"]["first_set"] == rows["first_set"]
     assert alarm["raised_set_index"] in rows["first_set"]
     expect(page.locator("#waterfall .plot")).to_be_in_viewport()
 
@@ -222,8 +222,8 @@ def is_noted_of_now(page, api, filled):
     expect(page.locator("#notes [data-note]")).to_contain_text("bath refilled")
     (note,) = api("/annotations").json()["items"]
     now_h = api("/info").json()["as_of"]["now_h"]
-    told = [note[name] for name in ("author", "text", "from_h", "to_h")]
-    assert told == ["ann", "bath refilled", now_h, now_h]
+    note_fields = [note[name] for name in ("author", "text", "from_h", "to_h")]
+    assert note_fields == ["ann", "bath refilled", now_h, now_h]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -293,7 +293,7 @@ TASKS = (
     Task(
         question="Send a colleague what I see",
         steps=(click('role=button[name="Copy link"]'),),
-        seen=is_seen_by_whoever_gets_the_link,
+        seen=check_link_shows_the_same_view,
         clicks=1,
         view="?compare=D&from_h=3&to_h=27",
     ),
@@ -341,7 +341,7 @@ TASKS = (
 
 
 @pytest.mark.parametrize("task", TASKS, ids=lambda task: task.question)
-def test_it_takes_three_clicks_at_most(page, api, filled, task):
+def test_each_task_takes_three_clicks_at_most(page, api, filled, task):
     page.evaluate(GO_TO, task.view)
     for step in task.steps:
         do(page, step)

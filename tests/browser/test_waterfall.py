@@ -25,7 +25,7 @@ WALL = {"width": 1920, "height": 1080}
 SETTINGS = Settings(
     ultrasound={"delay_s": 1e-6}, schedule={"end_h": END_H, "phases": [{"until_h": END_H, "interval_h": 0.5}]}
 )
-# The page's map, written down once more: a test that asked the page for it would find any map right.
+# The page's map, written down again: a test that asked the page for it would find any map right.
 LIGHT = {
     -1: np.array([[255, 255, 255], [120, 178, 222], [0, 82, 148], [0, 30, 66]], dtype=float),
     1: np.array([[255, 255, 255], [244, 176, 104], [186, 84, 0], [84, 26, 0]], dtype=float),
@@ -71,7 +71,7 @@ def drawn(page, what="the waterfall is drawn"):
 
 
 def pixels(page, canvas="image"):
-    """RGBA of the canvas, shape (height, width, 4)."""
+    """Return RGBA of the canvas, shape (height, width, 4)."""
     width, height, data = page.evaluate(
         f"""() => {{
           const canvas = document.querySelector(".waterfall-{canvas}");
@@ -84,7 +84,7 @@ def pixels(page, canvas="image"):
 
 
 def value_of(rgb, limit):
-    """The voltage that a colour of the light map stands for."""
+    """Return the voltage of a color of the light map."""
     parts = np.linspace(0.0, 1.0, 128)
     best = (np.inf, 0.0)
     for sign, stops in LIGHT.items():
@@ -97,7 +97,7 @@ def value_of(rgb, limit):
 
 @pytest.fixture(scope="module")
 def shared(service, browser):
-    """A page for whatever is one view after the other."""
+    """Yield a page that shows one view after the other."""
     with watched_pages(browser) as open_:
         # Only a test reads pixels back.
         page = open_(f"{service.url}?theme=light&position=B", forgiven="Canvas2D: Multiple readback")
@@ -106,7 +106,7 @@ def shared(service, browser):
 
 
 def light(page, position="B", **view):
-    """Show a view of the light page from its first hour to its last, until it is drawn."""
+    """Show a view of the light page from its first hour to its last; wait until it is drawn."""
     show(
         page, f"?theme=light&position={position}" + "".join(f"&{key}={value}" for key, value in view.items())
     )
@@ -115,8 +115,8 @@ def light(page, position="B", **view):
     wanted = {"position": position, "align": align, "shown": "volts"}
 
     def is_drawn():
-        told = shown(page)
-        return told["ready"] and wanted.items() <= told["header"].items() and told["hours"] == [0, END_H]
+        state = shown(page)
+        return state["ready"] and wanted.items() <= state["header"].items() and state["hours"] == [0, END_H]
 
     until(is_drawn, "the view is drawn")
 
@@ -125,23 +125,23 @@ def light(page, position="B", **view):
 def test_pixels_are_the_samples_of_the_records(filled, shared, align):
     page = shared
     light(page, align=align, hides="tracks,alarms,gaps,bad")
-    told = shown(page)
-    header, limit = told["header"], told["limit"]
+    view = shown(page)
+    header, limit = view["header"], view["limit"]
     image = pixels(page)
     height, width, _ = image.shape
     seen = 0
     rng = np.random.default_rng(7)
     for index in range(N_SETS):
         hour = filled.due[index].due_h + 0.25
-        x = int((hour - told["hours"][0]) / (told["hours"][1] - told["hours"][0]) * width)
+        x = int((hour - view["hours"][0]) / (view["hours"][1] - view["hours"][0]) * width)
         if index in MISSED:
             assert (image[:, x, 3] == 0).all(), "a gap stays a gap"
             continue
         records = [one.waveform for one in filled.records(index) if one.key.position == "B"]
         for y in rng.integers(2, height - 2, 12).tolist():
             # Every sample whose time lies in a cell that the pixel touches.
-            per_s = (told["seconds"][1] - told["seconds"][0]) / height
-            edges = (told["seconds"][0] + np.array([y, y + 1]) * per_s - header["first_s"]) / header["cell_s"]
+            per_s = (view["seconds"][1] - view["seconds"][0]) / height
+            edges = (view["seconds"][0] + np.array([y, y + 1]) * per_s - header["first_s"]) / header["cell_s"]
             first, last = int(np.floor(edges[0] + 1e-6)), int(np.floor(edges[1] + 1e-6)) - 1
             cells = header["first_s"] + np.array([first, max(first, last) + 1]) * header["cell_s"]
             values = []
@@ -161,11 +161,11 @@ def test_pixels_are_the_samples_of_the_records(filled, shared, align):
     assert seen > 100
 
 
-def test_aligned_pulses_lie_in_one_line_whatever_the_trigger(filled, shared):
+def test_aligned_pulses_are_on_one_line_for_any_trigger(filled, shared):
     page = shared
     light(page, align="first")
-    told = shown(page)
-    (isw, psw) = told["tracks"][:2]
+    view = shown(page)
+    (isw, psw) = view["tracks"][:2]
     assert {value for value in isw["seconds"] if value is not None} == {0.0}
     features = {
         row.due_h: row.psw_time_s - row.isw_time_s
@@ -173,7 +173,7 @@ def test_aligned_pulses_lie_in_one_line_whatever_the_trigger(filled, shared):
     }
     found = dict(zip(psw["hours"], psw["seconds"], strict=True))
     assert found == {hour: pytest.approx(value) for hour, value in features.items()}
-    assert told["header"]["align"] == "isw"
+    assert view["header"]["align"] == "isw"
     expect(page.locator("#waterfall")).to_contain_text("a set a row")
 
 
@@ -183,16 +183,16 @@ def test_the_cursor_reads_by_pointer_and_by_keys_and_opens_the_set(filled, share
     box = page.locator("#waterfall .plot")
     box.scroll_into_view_if_needed()
     over = page.locator(".waterfall-over").bounding_box()
-    told = drawn(page)
+    view = drawn(page)
     hour = filled.due[6].due_h + 0.1
-    x = over["x"] + over["width"] * hour / told["hours"][1]
+    x = over["x"] + over["width"] * hour / view["hours"][1]
     page.mouse.move(x, over["y"] + over["height"] / 2)
     readout = page.locator("#waterfall .readout")
     expect(readout).to_contain_text("hour 3.")
     expect(readout).to_contain_text("set 6")
     expect(readout).to_contain_text(" V")
     page.mouse.move(
-        over["x"] + over["width"] * (filled.due[10].due_h + 0.1) / told["hours"][1], over["y"] + 9
+        over["x"] + over["width"] * (filled.due[10].due_h + 0.1) / view["hours"][1], over["y"] + 9
     )
     expect(readout).to_contain_text("no record")
     page.mouse.click(x, over["y"] + over["height"] / 2)
@@ -218,11 +218,11 @@ def test_zoom_is_that_of_the_charts_and_part_of_the_address(shared, open_page):
     for key in ("ArrowRight", "ArrowRight", "+", "+", "PageUp", "PageUp"):
         page.keyboard.press(key)
     until(lambda: shown(page)["ready"] and "from_wf_us" in query(page), "both axes are zoomed")
-    told = shown(page)
-    assert told["hours"][1] - told["hours"][0] < 14.0
-    assert dashboard(page, "charts.tof.span") == told["hours"]
-    whole = told["header"]["whole_s"]
-    assert told["seconds"][1] - told["seconds"][0] == pytest.approx((whole[1] - whole[0]) / 2.25)
+    view = shown(page)
+    assert view["hours"][1] - view["hours"][0] < 14.0
+    assert dashboard(page, "charts.tof.span") == view["hours"]
+    whole = view["header"]["whole_s"]
+    assert view["seconds"][1] - view["seconds"][0] == pytest.approx((whole[1] - whole[0]) / 2.25)
     page.get_by_label("Values of the waterfall").select_option("difference")
     page.get_by_label("Time counts from").select_option("first")
     page.get_by_role("button", name="Tracks").click()
@@ -259,7 +259,7 @@ def test_zoom_is_that_of_the_charts_and_part_of_the_address(shared, open_page):
     assert "from_wf_us" not in query(page)
 
 
-def test_fingers_on_a_phone_move_zoom_and_open(filled, service, open_page):
+def test_touch_gestures_pan_zoom_and_open(filled, service, open_page):
     address = f"{service.url}?theme=light&position=B&from_h=4&to_h=8"
     page = open_page(address, viewport=PHONE, has_touch=True)
     drawn(page)
@@ -275,12 +275,12 @@ def test_fingers_on_a_phone_move_zoom_and_open(filled, service, open_page):
         screen.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
 
     def under(x, y):
-        """Hour and seconds at a place of the picture."""
+        """Return hour and seconds at a point of the figure."""
         (from_h, to_h), (from_s, to_s) = shown(page)["hours"], shown(page)["seconds"]
         return from_h + x * (to_h - from_h), from_s + y * (to_s - from_s)
 
     def dragged(begin, end):
-        """Fingers keep what lies under them."""
+        """Drag by touch; the data stay under the fingers."""
         held = [value for place in begin for value in under(*place)]
         touch("touchStart", *begin)
         touch("touchMove", *end)
@@ -292,9 +292,9 @@ def test_fingers_on_a_phone_move_zoom_and_open(filled, service, open_page):
     dragged([(0.7, 0.5)], [(0.4, 0.5)])
     assert shown(page)["hours"] == pytest.approx([5.2, 9.2])
     dragged([(0.4, 0.4), (0.6, 0.6)], [(0.2, 0.3), (0.8, 0.9)])
-    told = drawn(page)
-    assert told["hours"][1] - told["hours"][0] == pytest.approx(4.0 / 3.0)
-    assert told["seconds"][1] - told["seconds"][0] == pytest.approx(np.ptp(told["header"]["whole_s"]) / 3.0)
+    view = drawn(page)
+    assert view["hours"][1] - view["hours"][0] == pytest.approx(4.0 / 3.0)
+    assert view["seconds"][1] - view["seconds"][0] == pytest.approx(np.ptp(view["header"]["whole_s"]) / 3.0)
     # On a chart alike, and the waterfall follows.
     page.locator("#tof .u-over").scroll_into_view_if_needed()
     chart = page.locator("#tof .u-over").bounding_box()
@@ -322,7 +322,7 @@ def test_marks_are_drawn_over_it_and_can_be_switched_off(filled, shared):
     assert not (pixels(page, "over")[..., 3] > 0).any()
 
 
-def test_a_probe_has_a_thickness_axis_and_a_table_says_it_in_words(shared):
+def test_a_probe_has_a_thickness_axis_and_a_table(shared):
     page = shared
     light(page, position="A", align="first")
     box = page.locator("#waterfall .plot")
@@ -336,7 +336,7 @@ def test_a_probe_has_a_thickness_axis_and_a_table_says_it_in_words(shared):
     expect(page.locator("#set")).to_have_attribute("data-set", f"A {N_SETS - 1}")
 
 
-def test_it_goes_on_while_sets_arrive(filled, shared):
+def test_the_view_continues_while_sets_arrive(filled, shared):
     page = shared
     light(page)
     rows = shown(page)["header"]["rows"]
@@ -346,22 +346,22 @@ def test_it_goes_on_while_sets_arrive(filled, shared):
     assert shown(page)["header"]["last_set"][-1] == n_sets
 
 
-def test_without_tiles_it_fills_itself(filled, open_page, monkeypatch):
+def test_without_tiles_the_page_fills_itself(filled, open_page, monkeypatch):
     monkeypatch.setattr(picture, "SETS_AT_ONCE", 9)
     with served(filled.settings, filled.folder) as fresh:
         page = open_page(f"{fresh.url}?position=B")
         until(
             lambda: shown(page)["ready"] and shown(page)["header"]["pending_sets"] == 0, "all sets are read"
         )
-        told = shown(page)["header"]
+        header = shown(page)["header"]
         stored = [row.set_index for row in filled.catalogue.rows(SetRow, position="B") if row.file]
-        assert told["first_set"] == stored
+        assert header["first_set"] == stored
         expect(page.locator("#waterfall")).not_to_contain_text("still being read")
 
 
-def test_before_a_baseline_there_is_no_difference_and_nobody_asks_for_it(tmp_path, open_page):
+def test_no_difference_is_requested_before_a_baseline_exists(tmp_path, open_page):
     filled = FilledFolder(tmp_path, SETTINGS)
-    filled.add_set(0, judged=False)
+    filled.add_set(0, assessed=False)
     with served(filled.settings, tmp_path) as fresh:
         # The service ends before the page does.
         page = open_page(f"{fresh.url}?position=B&shown=difference", forgiven="ERR_CONNECTION_REFUSED")
@@ -385,7 +385,7 @@ def test_before_a_baseline_there_is_no_difference_and_nobody_asks_for_it(tmp_pat
 
 
 @pytest.mark.parametrize("viewport", [PHONE, pytest.param(WALL, marks=pytest.mark.slow)], ids=["390", "1920"])
-def test_it_fits_and_is_accessible_in_both_themes(service, open_page, viewport):
+def test_the_page_fits_and_is_accessible_in_both_themes(service, open_page, viewport):
     page = open_page(f"{service.url}?theme=dark&position=B", viewport=viewport)
     drawn(page)
     assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]

@@ -40,7 +40,7 @@ class ArchiveContract:
 
     @pytest.fixture
     def reopened(self) -> Callable[[], Archive]:
-        """Return what opens the same archive again, as after the end of its process."""
+        """Return a function that opens the same archive again, as after the end of its process."""
         raise NotImplementedError
 
     @pytest.fixture
@@ -50,17 +50,17 @@ class ArchiveContract:
 
     @pytest.fixture
     def damage(self) -> Callable[[SetReference, int], None]:
-        """Return what damages the record of a sequence."""
+        """Return a function that corrupts the record of a sequence number."""
         raise NotImplementedError
 
     @pytest.fixture
     def lose(self) -> Callable[[SetReference], None]:
-        """Return what takes a set away."""
+        """Return a function that removes a set."""
         raise NotImplementedError
 
     @pytest.fixture
     def crash_while_storing(self) -> Callable[[SetRecord], None]:
-        """Return what stores a set in a process that ends before the set is complete."""
+        """Return a function that stores a set in a process that ends before the set is complete."""
         raise NotImplementedError
 
     def test_is_an_archive(self, archive, reader):
@@ -68,7 +68,7 @@ class ArchiveContract:
         assert isinstance(reader, SetReader)
         assert archive.name == reader.name != ""
 
-    def test_an_empty_one_has_no_sets(self, archive):
+    def test_an_empty_archive_has_no_sets(self, archive):
         assert (dict(archive.sets()), archive.n_bytes()) == ({}, 0)
 
     def test_a_set_comes_back_to_the_last_bit(self, archive, reader):
@@ -135,7 +135,7 @@ class ArchiveContract:
         for index, record in records.items():
             assert_same_set(reader.read_set(files[index]), record)
 
-    def test_what_was_stored_is_there_after_the_process(self, archive, reopened):
+    def test_stored_records_survive_the_process(self, archive, reopened):
         stored = archive.store_set(make_set())
         assert_same_set(reopened().read_set(stored.file), make_set())
 
@@ -174,11 +174,11 @@ class ArchiveContract:
                 read(stored.file)
         assert reader.sets() == {}
 
-    def test_damage_costs_one_record_and_names_it(self, archive, reader, damage):
+    def test_corruption_costs_one_record_and_names_it(self, archive, reader, damage):
         stored = archive.store_set(make_set())
         damage(stored.file, 42)
-        told = r"shot 1 of B \(sequence 42\)"
-        with pytest.raises(CorruptArchiveError, match=told):
+        message = r"shot 1 of B \(sequence 42\)"
+        with pytest.raises(CorruptArchiveError, match=message):
             reader.read_set(stored.file)
         whole = make_set()
         rest = replace(whole, shots=[shot for shot in whole.shots if shot.sequence != 42], outcomes={})
@@ -200,7 +200,7 @@ class ArchiveContract:
         archive.set_aside(again.file)
         assert len(archive.quarantined()) == 2, "nothing there is overwritten"
 
-    def test_a_damaged_record_cannot_be_read_alone(self, archive, reader, damage):
+    def test_a_corrupt_record_cannot_be_read_alone(self, archive, reader, damage):
         stored = archive.store_set(make_set())
         damage(stored.file, 41)
         with pytest.raises(CorruptArchiveError, match=r"shot 0 of B \(sequence 41\)"):
@@ -219,7 +219,7 @@ class JournalContract(ArchiveContract):
     """Records acknowledged one by one, before their set."""
 
     def begin(self, archive, n_records):
-        """Take in the first records of the set, and what it missed, as a recorder does."""
+        """Store the first records of the set, and its missed shots, as a recorder does."""
         whole = make_set()
         archive.begin_set(
             SET_INDEX,
@@ -245,7 +245,7 @@ class JournalContract(ArchiveContract):
         assert opened.last_utc_ns >= max(record.stamp.utc_ns for record in opened.records)
         assert reopened().sets() == {}
 
-    def test_what_was_not_synced_may_be_gone(self, archive, reopened):
+    def test_unsynced_data_may_be_lost(self, archive, reopened):
         self.begin(archive, 3)
         archive.sync()
         archive.append(make_set().records[3], DUE_UTC_NS)
@@ -254,7 +254,7 @@ class JournalContract(ArchiveContract):
             record.sequence for record in make_set().records[:3]
         ]
 
-    def test_an_open_set_is_gone_on_with_and_whole_in_the_end(self, archive, reopened, reader):
+    def test_an_open_set_is_continued_and_completed(self, archive, reopened, reader):
         self.begin(archive, 3)
         archive.sync()
         again = reopened()
@@ -266,7 +266,7 @@ class JournalContract(ArchiveContract):
             assert one.verify_set(stored.file) == []
         assert reopened().open_sets() == {}
 
-    def test_a_settled_set_is_forgotten(self, archive, reopened):
+    def test_a_finalized_set_is_removed_from_memory(self, archive, reopened):
         self.begin(archive, 0)
         archive.sync()
         archive.settle(SET_INDEX)

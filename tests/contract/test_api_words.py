@@ -1,4 +1,4 @@
-"""`docs/reference/api.md` lists every type of problem and every kind of event that the code can tell."""
+"""`docs/reference/api.md` lists every type of problem and every kind of event in the code."""
 
 import ast
 import re
@@ -26,7 +26,7 @@ def calls(tree):
 
 
 def texts(node, constants):
-    """Texts that an argument may be: written there, chosen between, or named."""
+    """Yield the texts of an argument: a literal, a choice, or a named constant."""
     if isinstance(node, ast.IfExp):
         yield from texts(node.body, constants)
         yield from texts(node.orelse, constants)
@@ -40,7 +40,7 @@ def texts(node, constants):
 
 
 def constants_of(tree):
-    """Names that stand for texts: `NAME = "text"`, `A, B = "a", "b"`, `x = "a" if y else "b"`."""
+    """Return names that stand for texts: `NAME = "text"`, `A, B = "a", "b"`, `x = "a" if y else "b"`."""
     found = {}
     for node in ast.walk(tree):
         if isinstance(node, ast.Assign) and len(node.targets) == 1:
@@ -72,7 +72,7 @@ def test_every_type_of_problem_is_listed_with_its_status():
 
 
 def kinds_of_the_code():
-    """Literals at the places that name an event's kind."""
+    """Return the literals where the code names the kind of an event."""
     parsed = list(trees(*TELLERS))
     constants = {}
     for _, tree in parsed:

@@ -11,6 +11,7 @@ from support.broken_instruments import (
     ArmsAnything,
     ArmsOverAnArmedOne,
     CodesBeyondTheResolution,
+    CountsInMillivolts,
     DisarmsOnce,
     EndsWhenSafe,
     GrowingRecords,
@@ -30,7 +31,6 @@ from support.broken_instruments import (
     StrikesAnotherCoil,
     StrikesTwice,
     TakesAnyTime,
-    TellsMillivolts,
     waveform,
 )
 
@@ -65,7 +65,7 @@ GIVEN = {
 
 
 def run(contract, test, **fixtures):
-    """Call one test of a contract; only the fixtures it asks for are passed."""
+    """Call one test of a contract with only the fixtures that it requests."""
     function = getattr(contract, test)
     wanted = function.__code__.co_varnames[1 : function.__code__.co_argcount]
     function(contract(), **{name: {**GIVEN, **fixtures}[name] for name in wanted})
@@ -105,7 +105,7 @@ def test_a_sound_digitizer_passes(test):
         (GrowingRecords, "test_records_of_one_position_have_one_shape_and_calibration"),
         (NoPretrigger, "test_a_strike_on_an_armed_digitizer_is_recorded"),
         (CodesBeyondTheResolution, "test_counts_are_read_only_codes_of_their_calibration"),
-        (TellsMillivolts, "test_counts_are_read_only_codes_of_their_calibration"),
+        (CountsInMillivolts, "test_counts_are_read_only_codes_of_their_calibration"),
         (SettingsOfLists, "test_counts_are_read_only_codes_of_their_calibration"),
         (TakesAnyTime, "test_a_timeout_of_zero_is_refused"),
         (DisarmsOnce, "test_disarming_is_harmless_at_any_time"),
@@ -257,7 +257,7 @@ def test_a_broken_clock_fails(broken, test):
         run(Ahead, test, clock=broken(EPOCH_NS))
 
 
-def test_an_object_is_no_clock():
+def test_an_arbitrary_object_is_not_accepted_as_a_clock():
     with pytest.raises(AssertionError):
         run(ClockContract, "test_is_a_clock", clock=object())
 
@@ -370,14 +370,14 @@ def test_a_sound_supply_passes(test):
         (Toggles, "test_making_safe_is_harmless_when_off"),
         (Recovers, "test_reading_never_switches_it_on_again"),
         (ReadsNothing, "test_a_reading_is_measured_and_dated"),
-        (StaysOff, "test_energise_switches_on_at_the_requested_values"),
-        (KeepsTheFirstOrder, "test_a_command_replaces_the_previous_one"),
-        (ObeysAnything, "test_it_stays_off_above_the_caps"),
-        (CapsTheVoltageOnly, "test_it_stays_off_above_the_caps"),
-        (RefusesTooLate, "test_it_stays_off_above_the_caps"),
-        (RefusesWithoutTheValue, "test_it_stays_off_above_the_caps"),
-        (IsAnybody, "test_the_identity_is_reported"),
-        (ChangesItsName, "test_the_identity_is_reported"),
+        (StaysOff, "test_energise_switches_on_what_was_asked_for"),
+        (KeepsTheFirstOrder, "test_an_order_replaces_the_one_before"),
+        (ObeysAnything, "test_beyond_the_caps_it_stays_off"),
+        (CapsTheVoltageOnly, "test_beyond_the_caps_it_stays_off"),
+        (RefusesTooLate, "test_beyond_the_caps_it_stays_off"),
+        (RefusesWithoutTheValue, "test_beyond_the_caps_it_stays_off"),
+        (IsAnybody, "test_the_instrument_reports_its_identity"),
+        (ChangesItsName, "test_the_instrument_reports_its_identity"),
         (object, "test_is_a_power_supply"),
     ],
 )
@@ -398,12 +398,12 @@ class SoundClimateProbe:
         return ClimateReading(stamp=stamp, temperature_c=22.3, relative_humidity=0.46)
 
 
-class TellsFahrenheit(SoundClimateProbe):
+class ReadsFahrenheit(SoundClimateProbe):
     def read(self, timeout_s):
         return replace(super().read(timeout_s), temperature_c=71.6)
 
 
-class TellsPercent(SoundClimateProbe):
+class ReadsPercent(SoundClimateProbe):
     def read(self, timeout_s):
         return replace(super().read(timeout_s), relative_humidity=45.0)
 
@@ -433,8 +433,8 @@ def test_a_sound_climate_probe_passes(test):
 @pytest.mark.parametrize(
     ("broken", "test"),
     [
-        (TellsFahrenheit, "test_a_reading_is_in_degrees_celsius_and_a_fraction"),
-        (TellsPercent, "test_a_reading_is_in_degrees_celsius_and_a_fraction"),
+        (ReadsFahrenheit, "test_a_reading_is_in_degrees_celsius_and_a_fraction"),
+        (ReadsPercent, "test_a_reading_is_in_degrees_celsius_and_a_fraction"),
         (RunsBackwards, "test_readings_are_dated_in_order"),
         (BootsEveryTime, "test_readings_are_dated_in_order"),
         (NeverEnds, "test_a_timeout_of_zero_is_refused"),

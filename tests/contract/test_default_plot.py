@@ -53,7 +53,7 @@ def step(group, nx_class):
 
 
 def check_plot(path):
-    """Walk root@default to NXentry@default to NXdata@signal and @axes; the signal's and the axes' names."""
+    """Follow root@default to NXentry@default to NXdata@signal and @axes; return signal and axes names."""
     with h5py.File(path) as file:
         assert text(file.attrs["NX_class"]) == "NXroot"
         data = step(step(file, "NXentry"), "NXdata")
@@ -80,7 +80,7 @@ def check_plot(path):
 
 
 @pytest.mark.parametrize("which", ["today", *EARLIER])
-def test_the_file_of_a_set_opens_as_a_plot_whoever_wrote_it(which, folders):
+def test_the_file_of_a_set_opens_as_a_plot_for_any_writer(which, folders):
     files = set_files(folders[which])
     assert files
     for path in (files[min(files)], files[max(files)]):

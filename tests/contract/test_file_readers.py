@@ -47,7 +47,7 @@ def path(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def consolidated(tmp_path_factory):
-    """One file of two sets."""
+    """Return one file of two sets."""
     folder = tmp_path_factory.mktemp("consolidated")
     archive, blocks = FiledArchive(folder), {}
     for record in (make_set(), other_set(make_set(), SET_INDEX + 1)):
@@ -180,8 +180,8 @@ def test_silx_plots_the_consolidated_file(consolidated):
 def test_h5dump_reads_the_records_of_the_consolidated_file(consolidated, tmp_path):
     target = tmp_path / "counts.bin"
     command = ["h5dump", "-d", "/entry/B_waveforms/waveform", "-b", "LE", "-o", target, consolidated]
-    said = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, cwd=tmp_path)
-    assert said.stderr == ""
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True, cwd=tmp_path)
+    assert done.stderr == ""
     found = np.frombuffer(target.read_bytes(), "<i2").reshape(6, 300)
     np.testing.assert_array_equal(found, np.vstack([COUNTS, OTHER_COUNTS]))
 
@@ -189,11 +189,11 @@ def test_h5dump_reads_the_records_of_the_consolidated_file(consolidated, tmp_pat
 @needs_h5dump
 def test_h5dump_shows_unit_and_axes(path):
     command = ["h5dump", "-A", "-d", "/entry/B_waveforms/waveform", str(path)]
-    said = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    assert said.stderr == ""
-    assert '(0): "counts"' in said.stdout
-    assert "DATASPACE  SIMPLE { ( 3, 300 ) / ( 3, 300 ) }" in said.stdout
-    assert 'ATTRIBUTE "DIMENSION_LIST"' in said.stdout
+    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
+    assert done.stderr == ""
+    assert '(0): "counts"' in done.stdout
+    assert "DATASPACE  SIMPLE { ( 3, 300 ) / ( 3, 300 ) }" in done.stdout
+    assert 'ATTRIBUTE "DIMENSION_LIST"' in done.stdout
 
 
 @pytest.mark.parametrize("kind", ["path", "consolidated"])

@@ -215,7 +215,7 @@ def test_transducers_sampled_alike_share_their_time_axis(file):
     assert text(file["entry/C_waveforms/time"].attrs["target"]) == "/entry/B_waveforms/time"
 
 
-def test_a_row_of_shots_belongs_to_every_record(file):
+def test_each_record_has_a_row_of_its_shot(file):
     table = file["entry/shots"]
     records = make_set().records
     assert table["shot_id"][()].tolist() == [item.sequence for item in records]
@@ -226,13 +226,13 @@ def test_a_row_of_shots_belongs_to_every_record(file):
     assert texts(table["boot_id"][()]) == [item.stamp.boot_id for item in records]
 
 
-def test_receiver_settings_are_beside_the_echo(file):
+def test_receiver_settings_are_stored_with_the_echo(file):
     group = file["entry/A_pulse_echo"]
     assert (group["gain"][0], group["offset"][0], group["averages"][0]) == (31.5, -0.25, 64)
     assert (text(group["gain"].attrs["units"]), text(group["offset"].attrs["units"])) == ("dB", "V")
 
 
-def test_the_truth_of_simulated_shots_has_units_and_marks_what_was_not_told(file):
+def test_the_truth_of_simulated_shots_has_units_and_marks_missing_values(file):
     truth = file["entry/B_truth"]
     assert truth["shot_id"][()].tolist() == [41, 42, 43]
     assert truth["drop_height_m"][0] == 5.1e-3
@@ -257,7 +257,7 @@ def test_the_file_says_what_was_missed_and_which_attempt_counts(file):
     )
 
 
-def test_what_the_instruments_say_has_units_and_marks_what_was_not_told(file):
+def test_instrument_data_has_units_and_marks_missing_values(file):
     settings = file["entry/B_settings"]
     assert settings["shot_id"][()].tolist() == [41, 42, 43]
     assert texts(settings["board"][()]) == ["01A2B3C4", "", "01A2B3C5"]
@@ -275,7 +275,7 @@ def test_the_environment_of_a_set_has_units(file):
     assert units == {"voltage_v": "V", "charge_coulomb": "C"}
 
 
-def test_facts_and_causes_stand_in_the_file(file):
+def test_facts_and_causes_are_in_the_file(file):
     entry = file["entry"]
     assert (entry["set_index"][()], entry["due_h"][()]) == (7, 4.0)
     assert text(entry["start_time"][()]) == "2024-01-01T04:00:00.000000123Z"

@@ -101,7 +101,7 @@ def test_averaging_reduces_the_noise_by_the_root_of_the_records():
     assert mean == pytest.approx(EchoParameters().noise_rms_v / 4.0, rel=0.08)
 
 
-def test_a_record_says_what_it_was_taken_with(unit):
+def test_a_record_stores_its_acquisition_settings(unit):
     settings = unit.acquire(rig.key(), rig.TIMEOUT_S).settings
     assert settings["board_serial"] == "01C5A1F0"
     assert settings["product"] == "NI PXI-5122"
@@ -138,7 +138,7 @@ def test_a_session_is_set_up_once_and_then_only_triggered(unit, brain):
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"range_v": 0.3}, r"range_v is 0\.3; the NI PXI-5122 at 'PXI1Slot5' would use 0\.5"),
         ({"channel": "7"}, "channel is '7'; the NI PXI-5122 at 'PXI1Slot5' has 0, 1"),
@@ -147,27 +147,27 @@ def test_a_session_is_set_up_once_and_then_only_triggered(unit, brain):
         ({"serial_number": "0BADCAFE"}, "'PXI1Slot5' is a NI PXI-5122 with serial number '01C5A1F0', not"),
     ],
 )
-def test_what_the_board_cannot_do_is_refused_at_the_start(brain, changes, said):
-    with pytest.raises(ConfigurationError, match=said), open_niscope(rig.parameters(**changes)):
+def test_an_unsupported_setting_is_refused_at_the_start(brain, changes, message):
+    with pytest.raises(ConfigurationError, match=message), open_niscope(rig.parameters(**changes)):
         pytest.fail("it opened")
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"sample_rate_hz": 60e6}, r"sample_rate_hz is 60000000\.0; .* would use 100000000\.0"),
         ({"sample_rate_hz": 200e6}, "NI-SCOPE error"),
         ({"record_samples": 5_000_000}, "NI-SCOPE error -1074118653"),
     ],
 )
-def test_what_it_cannot_record_is_refused_at_the_start(brain, changes, said):
+def test_an_unsupported_record_is_refused_at_the_start(brain, changes, message):
     asked = dataclasses.replace(rig.parameters(), **changes)
-    with pytest.raises(ConfigurationError, match=said), open_niscope(asked):
+    with pytest.raises(ConfigurationError, match=message), open_niscope(asked):
         pytest.fail("it opened")
 
 
 @pytest.mark.parametrize("timeout_s", [0.0, -1.0])
-def test_a_deadline_that_is_none_is_refused(unit, timeout_s):
+def test_an_invalid_deadline_is_refused(unit, timeout_s):
     with pytest.raises(ConfigurationError, match="must be positive"):
         unit.acquire(rig.key(), timeout_s)
 
@@ -215,7 +215,7 @@ def test_a_trigger_that_was_not_taken_over_is_noticed_before_a_record(brain):
         pytest.fail("it opened")
 
 
-def test_somebody_else_s_board_is_named_and_left_alone(brain):
+def test_a_board_of_another_process_is_named_and_not_touched(brain):
     brain.occupy(rig.RESOURCE, "InstrumentStudio of pc-7")
     with (
         pytest.raises(BusyError, match="being used by another application or process"),
@@ -260,7 +260,7 @@ def test_two_probes_take_turns_on_one_board():
         assert len(running.record()["sessions"]) == 1
 
 
-def test_self_calibration_is_dated_and_the_next_record_is_set_up_anew(unit, brain):
+def test_self_calibration_is_dated_and_the_next_record_is_configured_again(unit, brain):
     assert isinstance(unit, SelfCalibrating)
     done = unit.self_calibrate()
     assert list(done) == ["01C5A1F0"]
@@ -276,12 +276,12 @@ def test_a_board_that_was_unplugged_is_found_again_under_another_name():
         unit.acquire(rig.key(), rig.TIMEOUT_S)
         running.unplug(rig.SERIAL)
         for attempts in (None, None, None, 3, 4):
-            said = f"not back after {attempts} attempts" if attempts else "."
-            with pytest.raises(ConnectionLostError, match=said):
+            message = f"not back after {attempts} attempts" if attempts else "."
+            with pytest.raises(ConnectionLostError, match=message):
                 unit.acquire(rig.key(), rig.TIMEOUT_S)
         running.plug(rig.SERIAL, "Dev4")
         assert unit.acquire(rig.key(), rig.TIMEOUT_S).settings["resource"] == "Dev4"
-        # The ladder begins anew: one loss is no reason for a reset.
+        # The recovery starts again: one loss is no reason for a reset.
         running.clear_record()
         running.faults.inject("niScope_InitiateAcquisition", "error", code=-1074118654)
         with pytest.raises(ConnectionLostError):
@@ -318,7 +318,7 @@ def test_the_second_rung_resets_our_own_board(unit, brain):
     assert rig.functions_of(brain.record()).count("niScope_ResetDevice") == 1
 
 
-def test_a_board_that_opens_but_cannot_tell_its_channels_is_closed(brain):
+def test_a_board_that_opens_without_its_channels_is_closed(brain):
     brain.faults.inject("niScope_GetChannelNameFromString", "error", code=-1074118654)
     with pytest.raises(ConnectionLostError), open_niscope(rig.parameters()):
         pytest.fail("it opened")

@@ -132,27 +132,31 @@ def test_operations_with_parameters_document_their_422(operations):
 
 
 def described(document):
-    """Everything that a reader looks up, with the place to describe it at."""
+    """Yield every item that needs a description, with its location."""
     schemas = document["components"]["schemas"]
     for schema, its in schemas.items():
-        for name, said in its.get("properties", {}).items():
-            yield f"schema {schema}, property {name}", said, said
+        for name, description in its.get("properties", {}).items():
+            yield f"schema {schema}, property {name}", description, description
     for path, item in document["paths"].items():
         for method, operation in item.items():
-            for said in operation.get("parameters", ()):
-                yield f"{method} {path}, parameter {said['name']}", said, said["schema"]
+            for description in operation.get("parameters", ()):
+                yield f"{method} {path}, parameter {description['name']}", description, description["schema"]
 
 
 @pytest.mark.parametrize("which", DESCRIPTIONS)
 def test_every_name_is_described_and_every_number_has_its_unit(documents, which):
     """A newcomer says it in `Field(description=...)`, or once for all in `web/answers/words.py`."""
     lacking = []
-    for place, said, schema in described(documents[which]):
-        if not said.get("description"):
+    for place, description, schema in described(documents[which]):
+        if not description.get("description"):
             lacking.append(f"{place}: what is it? describe it")
-        if holds_numbers(schema) and "x-unit" not in said:
+        if holds_numbers(schema) and "x-unit" not in description:
             lacking.append(f"{place}: unit? end the name in it, or put the name into PURE of words.py")
-        if holds_numbers(schema) and said.get("x-unit") == "own" and "unit" not in said["description"]:
+        if (
+            holds_numbers(schema)
+            and description.get("x-unit") == "own"
+            and "unit" not in description["description"]
+        ):
             lacking.append(f"{place}: say where its unit stands")
     assert not lacking, "\n".join(lacking)
 
@@ -210,7 +214,7 @@ def test_every_example_is_an_answer_of_its_operation():
     assert len(held) > 25
 
 
-def test_every_part_of_a_proof_is_described():
+def test_every_part_of_the_evidence_is_described():
     """Where a condition is built with a table of its own; `AlarmProof` has a field for each of its keys."""
     keys = set()
     for path in (ROOT / "daq_service").rglob("*.py"):
@@ -238,7 +242,7 @@ if __name__ == "__main__":
     from support.api_examples import write_examples
 
     with tempfile.TemporaryDirectory() as folder:
-        write_examples(Path(folder), anew="--anew" in sys.argv)
+        write_examples(Path(folder), renew="--anew" in sys.argv)
     examples.cache_clear()
     for which, snapshot in SNAPSHOTS.items():
         snapshot.write_text(as_text(DESCRIPTIONS[which](Path())), encoding="utf-8")

@@ -29,7 +29,7 @@ on_terminals = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Own:
-    """One of our kinds beside its double."""
+    """One of our kinds with its double."""
 
     name: str
     table: dict[str, Any]

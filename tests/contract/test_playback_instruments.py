@@ -1,4 +1,4 @@
-"""Recorded instruments keep the contracts of the real ones, whatever file the shots come from."""
+"""Recorded instruments keep the contracts of the real ones for any source of shots."""
 
 import numpy as np
 import pytest
@@ -20,7 +20,7 @@ from hardware_drivers.playback.parameters import PlaybackParameters, TdmsMapping
 
 
 def recorded():
-    """Two sets of an ultrasonic and two solitary-wave positions."""
+    """Return two sets of an ultrasonic and two solitary-wave positions."""
     first = make_set()
     return [first, other_set(first, SET_INDEX + 1)]
 

@@ -44,7 +44,7 @@ ARGUMENTS = {
 
 @pytest.fixture(scope="module")
 def clients(tmp_path_factory):
-    """One of each role, one with a wrong token, one with a revoked one, one without any."""
+    """Return a client of each role, and clients with a wrong, a revoked and no token."""
     folder = tmp_path_factory.mktemp("data")
     filled = FilledFolder(folder, Settings())
     filled.add_set(0, stored=False)
@@ -65,7 +65,7 @@ def clients(tmp_path_factory):
 
 
 def status(client, method, path, body=None):
-    """Only of the head: streams do not end."""
+    """Return the status from the response head: streams do not end."""
     json_body = {"json": {} if body is None else body} if method == "post" else {}
     with client.stream(method, path, **json_body) as answer:
         return answer.status_code
@@ -87,7 +87,7 @@ def test_every_operation_and_every_kind_of_order_has_a_role():
 
 
 @pytest.mark.parametrize("operation", CALLS)
-def test_an_operation_is_done_for_its_role_and_those_above_and_for_nobody_else(clients, operation):
+def test_an_operation_is_allowed_for_its_role_and_higher_roles_only(clients, operation):
     method, path = CALLS[operation]
     needed = OPERATIONS[operation]
     with report._making:  # who may have a report hears that one is being made: each would take seconds
@@ -103,7 +103,7 @@ def test_an_operation_is_done_for_its_role_and_those_above_and_for_nobody_else(c
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_an_order_is_taken_from_its_role_and_those_above(clients, kind):
+def test_a_command_is_accepted_from_its_role_and_higher_roles(clients, kind):
     order = {"kind": kind, "author": "somebody else", "arguments": ARGUMENTS.get(kind, {})}
     answers = {name: status(client, "post", "/api/v1/commands", order) for name, client in clients.items()}
     assert answers["nobody"] == 401
@@ -113,7 +113,7 @@ def test_an_order_is_taken_from_its_role_and_those_above(clients, kind):
     assert {answers[role] for role in ROLES[rank:]} <= {202, 404, 409}
 
 
-def test_the_document_says_which_role_each_operation_needs():
+def test_the_document_states_the_role_of_each_operation():
     for operation, (method, path) in CALLS.items():
         described = DOCUMENT["paths"][path][method]
         needed = OPERATIONS[operation]

@@ -66,7 +66,7 @@ def test_a_short_run_finds_nothing(full, tmp_path):
 
 @contextmanager
 def going_on(folder):
-    """Sets are added all the time, as a recorder does."""
+    """Add sets continuously, as a recorder does."""
     stop = threading.Event()
 
     def record():
@@ -111,7 +111,7 @@ def test_nothing_is_found_over_an_empty_folder(tmp_path):
 @pytest.mark.slow
 @pytest.mark.timeout(3000)
 @pytest.mark.parametrize("who", [*ROLES, "nobody", "wrong"])
-def test_nothing_is_found_whoever_asks(full, tmp_path, who):
+def test_schemathesis_finds_no_fault_for_any_role(full, tmp_path, who):
     texts = {role: create_token(tmp_path / "tokens.json", f"the-{role}", role)[1] for role in ROLES}
     token = {**texts, "nobody": None, "wrong": "x" * 43}[who]
     with served(full.settings, full.folder) as service, service.client() as api:

@@ -18,7 +18,7 @@ def rig(tmp_path):
 class TestScpiPowerSupply(PowerSupplyContract):
     @pytest.fixture
     def supply(self, rig):
-        # Somebody at the front panel: the driver has not ordered it.
+        # Front panel operation: the driver has not commanded it.
         link, supply = rig.instruments.supply_link, rig.instruments.supply
         link.do(lambda: [supply.answer("VOLT 5"), supply.answer("CURR 1"), supply.press_output_key(True)])
         return rig.supply

@@ -27,7 +27,7 @@ def _the_next_three(key, utc_ns):
 
 @pytest.fixture(params=["computed when read", "computed ahead"])
 def bench(request):
-    """Two transducers on infinite plates, which need no reduction, and a probe."""
+    """Return two transducers on infinite plates, which need no reduction, and a probe."""
     chain = ChainParameters()
     model = ShotModel(chain, PlateParameters(model="infinite_kirchhoff"), CorrosionParameters())
     with ThreadPoolExecutor(max_workers=1) as executor:

@@ -1,4 +1,4 @@
-"""The computer's clock is set beside a real recorder, archive and catalogue: the next recorder finds it."""
+"""The computer's clock is set during a test with a real recorder: the next recorder finds it."""
 
 import threading
 import time

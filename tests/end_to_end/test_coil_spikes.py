@@ -3,7 +3,7 @@
 The shots are those of the paper's drop height, with its scatter; each is compared with the twin's own record
 of the same shot without any crosstalk. Noise is off where times are compared: a trigger moved by one sample
 lets the same noise fall into other means. A spike lasts until it has fallen to a hundredth; in noise that
-time is its decay to 1/e, so that what is left of the longest ones still stands under the wave.
+time is its decay to 1/e, so that what is left of the longest ones is still under the wave.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from simulator.parameters.electronics import NoiseParameters
 DROP_M = 5e-3
 NOISE = NoiseParameters()
 SEEN_V = 6.0 * (NOISE.rms_v**2 + NOISE.slow_rms_v**2) ** 0.5
-"""A spike below six times the noise is not told from it, and far from the trigger level."""
+"""A spike below six times the noise is not separated from it, and far from the trigger level."""
 TOF_S = 0.02e-6
 
 QUICK = quick_description(board(), positions="C")
@@ -96,7 +96,7 @@ def parameters(
 
 
 def landed(doubles: RunningDoubles) -> None:
-    """Wait for the ball of a record that a spike took: it still falls when the record is read."""
+    """Wait until the ball has landed: it still falls when a record that a spike triggered is read."""
     happened(doubles.control.wait_until_quiet, "the striker landed")
 
 
@@ -126,7 +126,7 @@ def wrong_with(
     shots: int,
     description: Description = DESCRIPTION,
 ) -> tuple[list[str], int]:
-    """Survey each case, take its proposal, shoot; what was lost or mistaken, and how many were shot."""
+    """Survey each case, apply its proposal and shoot; return lost or wrong shots and the number of shots."""
     seen_v = SEEN_V if description.twin.noise.enabled else 0.0
     wrong: list[str] = []
     taken = 0
@@ -134,10 +134,10 @@ def wrong_with(
         edge, height_v, _, _ = case
         doubles.control.disturb("C", crosstalk_of(case, noisy=description.twin.noise.enabled))
         survey = survey_coil(parameters, "C", READ_TIMEOUT_S)
-        told = survey.on if edge == "on_v" else survey.off
-        named = told.height_v > 0.6 * height_v and told.triggers is (height_v > parameters.trigger_level_v)
+        spike = survey.on if edge == "on_v" else survey.off
+        named = spike.height_v > 0.6 * height_v and spike.triggers is (height_v > parameters.trigger_level_v)
         if height_v > seen_v and not named:
-            wrong.append(f"{case} is told as {told}")
+            wrong.append(f"{case} is told as {spike}")
         if survey.holdoff_s is None:
             wrong.append(f"{case}: no holdoff is proposed ({survey})")
             continue
@@ -220,7 +220,7 @@ def by_library(
 def doctor(
     capsys: pytest.CaptureFixture[str], folder: Path, doubles: RunningDoubles, **changes: Any
 ) -> tuple[int, dict[str, dict[str, Any]], str]:
-    """Exit code, checks by name, and the same report as text; changes are of [rig.daqmx]."""
+    """Return exit code, checks by name, and the same report as text; changes apply to [rig.daqmx]."""
     boards = asdict(parameters_of(DESCRIPTION, doubles, drop_height_m=DROP_M, **changes))
     values = {
         "clock": {"kind": "wall"},
@@ -243,16 +243,16 @@ def test_the_doctor_names_the_spike_and_its_cure_and_the_cure_cures(
     assert (code, spike["state"]) == (3, "fail")
     assert "on: spike 0.3" in spike["found"]
     assert "takes the trigger" in spike["found"]
-    told = spike["values"]
-    assert f"holdoff_s = {told['proposed_holdoff_s']:g}" in spike["remedy"]
+    values = spike["values"]
+    assert f"holdoff_s = {values['proposed_holdoff_s']:g}" in spike["remedy"]
     assert checks["strike C: record"]["values"]["flags"] == "false_trigger"
     assert "holdoff_s" in checks["strike C: record"]["remedy"]
-    # The level is judged by the strike that did show a wave: no advice comes from a number that is none.
+    # The level is assessed by the strike that did show a wave: no advice comes from a number that is none.
     assert checks["strike C: trigger level"]["state"] == "ok"
     assert "nan" not in text.lower()
-    assert told["wave_after_s"] == pytest.approx(told["expected_wave_after_s"], rel=0.2)
+    assert values["wave_after_s"] == pytest.approx(values["expected_wave_after_s"], rel=0.2)
 
-    cure = {"holdoff_s": told["proposed_holdoff_s"], "ringing_s": told["proposed_ringing_s"]}
+    cure = {"holdoff_s": values["proposed_holdoff_s"], "ringing_s": values["proposed_ringing_s"]}
     code, checks, text = doctor(capsys, tmp_path, by_library, **cure)
     assert (code, checks["strike C: coil's spike"]["state"]) == (0, "ok")
     held = f"held off for {cure['holdoff_s'] * 1e3:.3g} ms"
@@ -274,7 +274,7 @@ def test_ringing_that_leaves_no_room_asks_for_another_cure(
     assert "nan" not in text.lower()
 
 
-def test_a_holdoff_that_the_wave_comes_before_is_told(
+def test_a_holdoff_longer_than_the_arrival_of_the_wave_is_reported(
     by_library: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """As where the ball falls from less than the file says: here the file says 8 mm."""
@@ -294,7 +294,7 @@ def test_a_holdoff_that_the_wave_comes_before_is_told(
     code = run_doctor(config=config, data_dir=tmp_path / "data", strike="C", as_json=True)
     checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
     assert code == 3
-    told = checks["strike C: coil's spike"]
-    assert told["state"] == "fail"
-    assert told["values"]["latest_holdoff_s"] < 39e-3
-    assert told["values"]["proposed_holdoff_s"] < told["values"]["latest_holdoff_s"]
+    finding = checks["strike C: coil's spike"]
+    assert finding["state"] == "fail"
+    assert finding["values"]["latest_holdoff_s"] < 39e-3
+    assert finding["values"]["proposed_holdoff_s"] < finding["values"]["latest_holdoff_s"]

@@ -52,7 +52,7 @@ def solimon(*arguments: str) -> subprocess.CompletedProcess[str]:
 
 @contextmanager
 def started(*arguments: str) -> Iterator[subprocess.Popen[str]]:
-    """A command in the background; whatever a test does, nothing of it outlives the test."""
+    """Run a command in the background; end it with the test."""
     process = subprocess.Popen(
         [*SOLIMON, *arguments],
         env={**os.environ, **QUICK},
@@ -73,7 +73,7 @@ def started(*arguments: str) -> Iterator[subprocess.Popen[str]]:
 
 
 def line_with(process: subprocess.Popen[str], pattern: str) -> str:
-    """First line of output that matches; fails when the output ends without one."""
+    """Return the first line of output that matches; fail when the output ends without one."""
     assert process.stdout is not None
     seen = []
     for line in process.stdout:
@@ -96,7 +96,7 @@ def is_running(process_id: int) -> bool:
 
 
 def children_of(process_id: int) -> dict[str, int]:
-    """Command (record, serve) to process id."""
+    """Return the process id of each child by command (record, serve)."""
     found = {}
     for entry in Path("/proc").glob("[0-9]*"):
         try:
@@ -121,7 +121,7 @@ def two_hours(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str,
 
 
 def answers(url: str) -> bool:
-    """Whether there is something to answer with: 503 until the first set is in."""
+    """Return whether the service has data: 503 until the first set is stored."""
     try:
         with urllib.request.urlopen(url, timeout=LIMIT_S):
             return True
@@ -142,7 +142,7 @@ class Demo:
 
 @pytest.fixture(scope="module")
 def demos(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], Demo]]:
-    """Give a demo that runs: the one of the test before, or another one where that was ended."""
+    """Yield a running demo: that of the test before, or a new one if that has ended."""
     with ExitStack() as stack:
         last: list[Demo] = []
 
@@ -165,7 +165,7 @@ def watched(demos: Callable[[], Demo]) -> Demo:
     return demos()
 
 
-def test_demo_prints_one_object_with_everything_promised(two_hours: tuple[Path, dict[str, Any]]) -> None:
+def test_demo_prints_one_object_with_all_documented_keys(two_hours: tuple[Path, dict[str, Any]]) -> None:
     _, result = two_hours
     assert (result["sets"], result["shots"], result["missed_sets"]) == (4, 60, 0)
     assert 0.0 < result["elapsed_s"] < LIMIT_S
@@ -201,9 +201,9 @@ def test_a_recorder_that_is_killed_is_restarted_and_changes_no_number(
     with started(*TWO_HOURS, str(tmp_path), "--pace", "1") as process:
         until(lambda: sets_done(tmp_path) >= 1, "the first set")
         os.kill(children_of(process.pid)["record"], signal.SIGKILL)
-        told, _ = process.communicate(timeout=LIMIT_S)
+        output, _ = process.communicate(timeout=LIMIT_S)
         assert process.returncode == 0
-    assert json.loads(told.splitlines()[-1])["positions"] == result["positions"]
+    assert json.loads(output.splitlines()[-1])["positions"] == result["positions"]
     assert rows_of(tmp_path) == rows_of(whole)
     log = (tmp_path / "logs" / "supervisor.log").read_text(encoding="utf-8")
     assert log.count("was killed by signal 9") == 1
@@ -236,16 +236,16 @@ def test_a_second_recorder_on_the_same_folder_is_refused(watched: Demo) -> None:
     assert "--data-dir" in second.stderr
 
 
-def test_orders_come_from_another_terminal(watched: Demo) -> None:
+def test_commands_are_sent_from_another_terminal(watched: Demo) -> None:
     folder = watched.folder
 
     def order(*arguments: str) -> tuple[int, str]:
         done = solimon_here(*arguments, "--data-dir", str(folder), env=QUICK)
         return done.returncode, done.stdout + done.stderr
 
-    code, said = order("hold", "--note", "door open", "--author", "ann", "--json")
+    code, text = order("hold", "--note", "door open", "--author", "ann", "--json")
     assert code == 0
-    answer = json.loads(said)
+    answer = json.loads(text)
     assert (answer["kind"], answer["author"], answer["arguments"], answer["state"]) == (
         "hold",
         "ann",
@@ -253,12 +253,12 @@ def test_orders_come_from_another_terminal(watched: Demo) -> None:
         "done",
     )
     assert json.loads(order("status", "--json")[1])["held"] == "held by ann: door open"
-    code, said = order("hold")
+    code, text = order("hold")
     assert code == 2
-    assert "a hold needs a reason, for whoever finds it: --reason 'hands in the rig'" in said
-    code, said = order("hold", "--reason", "door still open")
+    assert "a hold needs a reason, for whoever finds it: --reason 'hands in the rig'" in text
+    code, text = order("hold", "--reason", "door still open")
     assert code == 2
-    assert "already on hold: held by ann: door open" in said
+    assert "already on hold: held by ann: door open" in text
     assert order("retire", "--position", "C", "--note", "coil is hot") == (0, "C strikes no more\n")
     assert order("retire", "--position", "Z")[0] == 2
     assert order("reinstate", "--position", "C")[0] == 0
@@ -296,7 +296,7 @@ def test_an_operators_stop_is_kept_by_the_supervisor(watched: Demo) -> None:
     assert not is_running(recorder)
     assert "record" not in children_of(watched.process.pid)
     stored = sets_done(watched.folder)
-    # The dashboard stays, and tells the state; nothing is struck meanwhile.
+    # The dashboard stays, and shows the state; nothing is struck meanwhile.
     with urllib.request.urlopen(f"{watched.url}/api/v1/health", timeout=LIMIT_S) as answer:
         assert json.load(answer)["as_of"]["recorder"] == "stopped"
     watched.process.send_signal(signal.SIGINT)
@@ -321,7 +321,7 @@ def test_nothing_strikes_on_after_the_supervisor_is_killed(watched: Demo) -> Non
 
 
 @posix_only
-def test_an_order_that_nobody_hears_is_refused(two_hours: tuple[Path, dict[str, Any]]) -> None:
+def test_a_command_without_a_recorder_is_rejected(two_hours: tuple[Path, dict[str, Any]]) -> None:
     folder, _ = two_hours
     beat = folder / "heartbeat.json"
     before = beat.read_text(encoding="utf-8")
@@ -426,7 +426,7 @@ def test_check_config_counts_the_papers_experiment(tmp_path: Path) -> None:
     assert facts["free_bytes"] > 0
 
 
-def test_status_tells_how_a_test_stands(two_hours: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+def test_status_prints_the_status_of_a_test(two_hours: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
     folder, _ = two_hours
     facts = json.loads(solimon_here("status", "--json", "--data-dir", str(folder), env=QUICK).stdout)
     assert facts["counts"]["sets"] == 4
@@ -483,7 +483,7 @@ def test_simulate_gives_zeners_impact_or_a_table() -> None:
         (["--position", "Z"], "no position 'Z'"),
     ],
 )
-def test_simulate_refuses_what_cannot_be(arguments: list[str], words: str) -> None:
+def test_simulate_refuses_impossible_parameters(arguments: list[str], words: str) -> None:
     done = solimon_here("simulate", *arguments, env=QUICK)
     assert done.returncode == 2
     assert words in done.stderr

@@ -36,11 +36,11 @@ def order(folder: Path, kind: str, note: str = "", position: str | None = None) 
     )
 
 
-def test_a_running_test_is_held_and_released_and_a_transducer_retired(
+def test_a_running_test_is_paused_resumed_and_a_transducer_disabled(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     folder, stop = tmp_path / "data", threading.Event()
-    # Eight sets a second: slow enough for orders to be heard between them.
+    # Eight sets per second: slow enough for orders to be heard between them.
     paced = small_settings(
         clock={"pace_h_per_s": 4.0}, schedule={"phases": [{"until_h": 2000.0, "interval_h": 0.5}]}
     )
@@ -51,7 +51,7 @@ def test_a_running_test_is_held_and_released_and_a_transducer_retired(
         assert order(folder, "hold", "door open") == 0
         stored = sorted(set_files(folder))
         until(lambda: states(folder)["missed"] >= 3, "three missed sets")
-        # Whoever got the answer may open the door: at most the set being stored then came after it.
+        # A person may open the door after the answer: at most the set being stored then came after it.
         assert len(sorted(set_files(folder))) <= len(stored) + 1
         with pytest.raises(UsageError, match="already on hold: held by ann: door open"):
             order(folder, "hold", "again")
@@ -65,8 +65,8 @@ def test_a_running_test_is_held_and_released_and_a_transducer_retired(
         stop.set()
         recorder.join(WAIT_S)
     assert not recorder.is_alive()
-    said = capsys.readouterr().out.splitlines()
-    assert [line.partition(":")[0] for line in said] == [
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.partition(":")[0] for line in lines] == [
         "on hold",
         "D strikes no more",
         "released",

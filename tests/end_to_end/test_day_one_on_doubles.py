@@ -1,4 +1,4 @@
-"""The day-one suite must not rot until somebody has boards: its wireless part runs on doubles of them."""
+"""The part of the day-one suite without wires runs on doubles of the boards."""
 
 import json
 import os
@@ -45,7 +45,7 @@ TERMINALS = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there
 
 @contextmanager
 def bench_supply(folder: Path, resistance_ohm: float) -> Iterator[SerialRig]:
-    """A supply with a resistor at its output, and a driver that is told of neither."""
+    """Run a supply with a resistor at its output, and a driver without their parameters."""
     with SerialRig(folder) as bench:
         load = Cell(counter_voltage_v=0.0, resistance_ohm=resistance_ohm, rise_per_h=0.0)
         bench.instruments.supply_link.do(lambda: setattr(bench.instruments.supply, "cell", load))
@@ -54,7 +54,7 @@ def bench_supply(folder: Path, resistance_ohm: float) -> Iterator[SerialRig]:
 
 
 def run_pytest(environment: Mapping[str, str], printed: Path, files: str = "tests/hardware") -> None:
-    """Child: `pytest -m hardware` where this environment holds."""
+    """Run `pytest -m hardware` in a child with this environment."""
     for name in [name for name in os.environ if name.startswith("SOLIMON_TEST_")]:
         del os.environ[name]
     os.environ.update(environment)
@@ -84,7 +84,7 @@ def run_pytest(environment: Mapping[str, str], printed: Path, files: str = "test
 def day_one(
     environment: Mapping[str, str], folder: Path, files: str = "tests/hardware"
 ) -> tuple[dict[str, int], str]:
-    """How many tests ended how, and what was printed."""
+    """Return the number of tests by outcome, and the output."""
     ended(in_a_process(run_pytest, environment, folder / "printed.txt", files), "the hardware tests' end")
     printed = (folder / "printed.txt").read_text(encoding="utf-8")
     counts = re.findall(r"(\d+) (passed|failed|skipped|error)", printed.splitlines()[-1])
@@ -113,7 +113,7 @@ def configured(folder: Path, rig: Mapping[str, Any]) -> Path:
 
 @LIBRARY
 @TERMINALS
-def test_what_needs_no_wire_passes_on_doubles_and_strikes_each_transducer_thrice(tmp_path: Path) -> None:
+def test_checks_without_a_wire_pass_on_doubles_and_strike_each_transducer_thrice(tmp_path: Path) -> None:
     with running_brain(DESCRIPTION) as doubles, bench_supply(tmp_path, LOAD_OHM) as bench:
         boards = asdict(parameters_of(DESCRIPTION, doubles))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})
@@ -136,7 +136,7 @@ def test_what_needs_no_wire_passes_on_doubles_and_strikes_each_transducer_thrice
 
 @LIBRARY
 @TERMINALS
-def test_a_supply_whose_load_is_another_than_told_fails_and_is_left_off(tmp_path: Path) -> None:
+def test_a_supply_with_another_load_than_configured_fails_and_stays_off(tmp_path: Path) -> None:
     with bench_supply(tmp_path, 0.5 * LOAD_OHM) as bench:
         boards = asdict(parameters_of(DESCRIPTION, None))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})
@@ -150,7 +150,7 @@ def test_a_supply_whose_load_is_another_than_told_fails_and_is_left_off(tmp_path
 
 @LIBRARY
 @TERMINALS
-def test_nothing_is_energised_unless_somebody_names_the_load(tmp_path: Path) -> None:
+def test_nothing_is_energized_without_a_configured_load(tmp_path: Path) -> None:
     with bench_supply(tmp_path, LOAD_OHM) as bench:
         boards = asdict(parameters_of(DESCRIPTION, None))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})

@@ -31,20 +31,20 @@ def blocks(page: Path, language: str) -> list[str]:
 def test_the_python_of_read_the_files_reads_the_files(tmp_path: Path) -> None:
     assert run(small_settings(schedule={"end_h": 2.0}), tmp_path)
     first, by_xarray, of_all, second = blocks(ROOT / "docs/how-to/read-the-files.md", "python")
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
         exec(first, {"path": set_files(tmp_path)[0]})
         exec(second, {"folder": tmp_path})
-    waveforms, features = said.getvalue().splitlines()
+    waveforms, features = output.getvalue().splitlines()
     table = io.StringIO()
     with contextlib.redirect_stdout(table):
         exec(by_xarray, {"path": set_files(tmp_path)[0]})
     exported = tmp_path / "test.h5"
     made = CliRunner().invoke(cli, ["export", "--data-dir", str(tmp_path), "--hdf5", str(exported)])
     assert made.exit_code == 0, made.output
-    with contextlib.redirect_stdout(said := io.StringIO()):
+    with contextlib.redirect_stdout(output := io.StringIO()):
         exec(of_all, {"exported": exported})
-    assert said.getvalue().startswith("12 shots, mean wave up to ")
+    assert output.getvalue().startswith("12 shots, mean wave up to ")
     axes, _, *rows = table.getvalue().splitlines()
     assert axes.startswith("('shot_time', 'time') "), axes
     assert len(rows) == 1 + 9  # the index and its name are lines of their own
@@ -63,21 +63,21 @@ def test_the_examples_of_the_sweep_page_print_what_it_says(
 ) -> None:
     page = (ROOT / "docs/how-to/sweep-parameters.md").read_text(encoding="utf-8")
     monkeypatch.chdir(tmp_path)
-    said = ""
+    expected = ""
     for language, text in re.findall(r"```(sh|python|text)\n(.*?)```", page, flags=re.DOTALL):
         if language == "sh":
             done = CliRunner().invoke(cli, shlex.split(text)[1:])
             assert done.exit_code == 0, done.output
-            said = done.stdout.partition("content hash")[0]
+            expected = done.stdout.partition("content hash")[0]
         elif language == "python":
             printed = io.StringIO()
             with contextlib.redirect_stdout(printed):
                 exec(text, {})
-            said = printed.getvalue()
+            expected = printed.getvalue()
         elif ",chain." in text:
             (tmp_path / "shots.csv").write_text(text, encoding="utf-8")
         else:
-            assert text == said
+            assert text == expected
     assert sorted(path.name for path in tmp_path.iterdir()) == [
         *("heights.csv", "heights.csv.json", "heights.h5", "shots.csv", "zener.csv", "zener.csv.json")
     ]
@@ -91,10 +91,10 @@ def test_the_table_of_delays_has_every_kind_of_alarm() -> None:
 
 def test_the_limits_of_small_and_large_baselines_are_those_that_are_printed() -> None:
     page = ROOT / "docs/how-to/choose-a-baseline.md"
-    (code,), (told,) = blocks(page, "python"), blocks(page, "text")
-    with contextlib.redirect_stdout(said := io.StringIO()):
+    (code,), (expected,) = blocks(page, "python"), blocks(page, "text")
+    with contextlib.redirect_stdout(output := io.StringIO()):
         exec(code, {})
-    assert said.getvalue() == told
+    assert output.getvalue() == expected
 
 
 @pytest.mark.parametrize("text", blocks(ROOT / "docs/reference/configuration.md", "toml"))

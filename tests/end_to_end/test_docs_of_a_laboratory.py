@@ -29,7 +29,7 @@ SETTINGS = notebooks.example_settings()
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A test past its baseline, so that there are limits."""
+    """Return a test past its baseline, with limits."""
     folder = tmp_path_factory.mktemp("laboratory") / "my-test-data"
     assert run(SETTINGS, folder)
     return folder
@@ -123,7 +123,7 @@ def test_the_names_and_shapes_of_matlab_are_those_of_the_files(folder: Path, exp
 
 
 def kinds_of_alarms() -> set[str]:
-    """Every kind that the code raises: those of the drive by its table, the others by their `Condition`s."""
+    """Return every kind of alarm of the code: of the supply by its table, others by `Condition`."""
     found = set(SEVERITIES)
     for path in (ROOT / "daq_service").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
@@ -168,19 +168,19 @@ def test_every_kind_of_alarm_has_its_row() -> None:
 def test_the_limits_of_the_baseline_page_are_those_of_the_code() -> None:
     page = HOW_TO / "choose-a-baseline.md"
     (code,), (printed,) = blocks(page, "python"), blocks(page, "text")
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
+    captured = io.StringIO()
+    with contextlib.redirect_stdout(captured):
         exec(code, {})
-    assert said.getvalue() == printed
+    assert captured.getvalue() == printed
     rates = (ROOT / "tests/validation/test_false_alarm_limits.py").read_text(encoding="utf-8")
     text = page.read_text(encoding="utf-8")
-    told = re.findall(r"([\d.]+) % (?:of healthy sets beyond it\s)?at (\d+)", text)
-    assert len(told) == 3, "the pattern finds what the page says"
-    for percent, n in told:
+    stated = re.findall(r"([\d.]+) % (?:of healthy sets beyond it\s)?at (\d+)", text)
+    assert len(stated) == 3, "the pattern finds what the page says"
+    for percent, n in stated:
         assert re.search(rf"\({n}, \d+, {float(percent) / 100:g}\b", rates), (percent, n)
 
 
-def test_a_recorder_makes_a_test_of_its_own_of_a_backup(folder: Path, tmp_path: Path) -> None:
+def test_a_recorder_turns_a_backup_into_a_separate_test(folder: Path, tmp_path: Path) -> None:
     copy = tmp_path / "copy"
     assert solimon_here("backup", str(copy), "--data-dir", str(folder), env={}).returncode == 0
     assert run(SETTINGS, copy), "it finds nothing to do, and owns the folder from now on"
@@ -196,12 +196,12 @@ COMMANDS = {
     "how-to/my-alarm-what-now.md": ["status"],
     "how-to/upgrade.md": ["backup", "verify", "check-config", "doctor", "run"],
 }
-"""Pages and the commands that stand in lines of their own there, in this order."""
+"""Pages and the commands on separate lines there, in this order."""
 TAKES_LONG = ("demo", "doctor", "run")
 """Tested as commands elsewhere; the tutorial's demo is the one that its pictures are made by."""
 
 ORDERS = ("approve-baseline", "renew-baseline")
-"""Understood, but nobody records the test of this page."""
+"""Commands that are parsed, but need a recorded test."""
 
 
 @pytest.mark.parametrize("page", COMMANDS)

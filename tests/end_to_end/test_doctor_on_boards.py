@@ -68,7 +68,7 @@ def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> Running
 def configuration(
     folder: Path, doubles: RunningDoubles, description: Description = DESCRIPTION, **changes: Any
 ) -> Path:
-    """A configuration file of a wall-clock test on these doubles; changes are of [rig.daqmx]."""
+    """Write the configuration file of a wall-clock test on these doubles; changes apply to [rig.daqmx]."""
     boards = asdict(replace(parameters_of(description, doubles), **changes))
     values: dict[str, Any] = {
         "clock": {"kind": "wall"},
@@ -89,14 +89,14 @@ def configuration(
 def doctor(
     capsys: pytest.CaptureFixture[str], config: Path, folder: Path, strike: str | None = None
 ) -> tuple[int, dict[str, dict[str, Any]], dict[str, Any]]:
-    """Exit code, checks by name, whole report."""
+    """Return exit code, checks by name, and the complete report."""
     code = run_doctor(config=config, data_dir=folder, strike=strike, as_json=True)
     report = json.loads(capsys.readouterr().out)
     assert report["exit_code"] == code
     return code, {check["name"]: check for check in report["checks"]}, report
 
 
-def test_a_sound_rig_is_looked_at_whole_and_nothing_is_energised(
+def test_a_sound_rig_is_checked_completely_and_nothing_is_energized(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, checks, report = doctor(capsys, configuration(tmp_path, doubles), tmp_path / "data")
@@ -176,7 +176,7 @@ def test_boards_of_a_running_recorder_are_left_alone(
 
 
 @pytest.mark.parametrize("strike", ["C", None])
-def test_boards_that_somebody_else_holds_are_told_and_not_struck(
+def test_boards_reserved_by_another_process_are_reported_and_not_struck(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str], strike: str | None
 ) -> None:
     config = configuration(tmp_path, doubles)
@@ -206,7 +206,7 @@ def test_another_broken_instrument_forbids_no_strike(
     assert [event["position"] for event in doubles.control.record()["lines"] if event["level"]] == ["D"] * 2
 
 
-def test_a_laboratory_s_boards_that_are_not_there(
+def test_missing_boards_of_a_laboratory(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     file = tmp_path / "lab.toml"
@@ -240,7 +240,7 @@ def test_a_board_too_slow_is_refused_with_the_rate_it_can_do(
     assert coil_pulses_s(doubles.control.record()) == []
 
 
-def test_a_noisy_input_is_told_beside_its_trigger_level(
+def test_a_noisy_input_is_reported_with_its_trigger_level(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, trigger_level_v=0.1), tmp_path / "data")
@@ -314,7 +314,7 @@ def test_the_power_up_states_of_the_safety_page_are_set(doubles: RunningDoubles)
     assert low == {f"{name}/port2/line{number}" for number in (4, 5, 6)}, "the coils' lines and no other"
 
 
-def test_a_rehearsal_s_configuration_strikes_nothing_when_told_to(
+def test_the_configuration_of_a_rehearsal_strikes_nothing_on_request(
     doubles: RunningDoubles, tmp_path: Path
 ) -> None:
     config = configuration(tmp_path, doubles, dry_run=True)
@@ -324,7 +324,7 @@ def test_a_rehearsal_s_configuration_strikes_nothing_when_told_to(
     assert doubles.control.record()["calls"] == []
 
 
-def test_a_server_is_reached_and_one_that_is_gone_is_told_at_once(
+def test_a_server_is_reached_and_a_missing_one_is_reported_at_once(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     if not doubles.grpc:
@@ -348,7 +348,7 @@ def test_a_server_is_reached_and_one_that_is_gone_is_told_at_once(
     assert code == 5, "another recorder of this computer, with another data folder"
     assert f"process {os.getpid()}" in checks["driver: reachable"]["found"]
     with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # and nobody listens
+        taken.bind(("127.0.0.1", 0))  # without a listener
         changes["grpc_address"] = f"127.0.0.1:{taken.getsockname()[1]}"
         code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, **changes), tmp_path / "data")
     assert code == 3

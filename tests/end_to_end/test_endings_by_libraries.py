@@ -71,7 +71,7 @@ def test_a_driver_that_ends_the_recorder_costs_no_set(
 @pytest.mark.parametrize(
     "ending", [SystemExit(0), SystemExit(3), KeyboardInterrupt(), GeneratorExit(), EOFError()], ids=repr
 )
-def test_what_a_driver_raises_to_end_the_process_is_a_fault(
+def test_an_exit_raised_by_a_driver_is_a_fault(
     ending: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(cli_run, "log_to", lambda path: None)  # its handlers stay as long as the process

@@ -44,7 +44,7 @@ KEY = ShotKey(position="C", set_index=0, shot_index=0)
 
 
 def wave_of_the_twin_v() -> FloatArray:
-    """Volts of a sensor on the physics twin, shape (n_samples,), at `RATE_HZ`."""
+    """Return the volts of a sensor on the physics twin, shape (n_samples,), at `RATE_HZ`."""
     transducer = Transducer(chain=CHAIN, model=ShotModel(CHAIN, PLATE, CorrosionParameters()))
     specimen = build_specimen(QUICK_TWIN, transducers={"C": transducer}, probed_thickness_m={})
     acquired = specimen.solitary_wave(KEY, HOUR_H)
@@ -55,12 +55,12 @@ def wave_of_the_twin_v() -> FloatArray:
 
 @pytest.fixture(scope="module")
 def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder with both packages, beside which nothing of them is on the path."""
+    """Return a folder with both packages, which are nowhere else on the path."""
     site = tmp_path_factory.mktemp("site")
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-index", "--no-deps", "--no-build-isolation"]
     packages = []
     for example in ("block_scope", "manual_striker"):
-        # Built from a copy: a build may write beside the sources.
+        # Built from a copy: a build may write next to the sources.
         packages.append(tmp_path_factory.mktemp(example) / example)
         shutil.copytree(EXAMPLES / example, packages[-1], ignore=shutil.ignore_patterns("__pycache__"))
     done = subprocess.run(
@@ -77,7 +77,7 @@ def test_an_example_keeps_every_rule_by_its_page_s_command(kind: str, site: Path
         source = EXAMPLES / example / name
         (shutil.copytree if source.is_dir() else shutil.copy)(source, tmp_path / name)
     done = subprocess.run(
-        # Beside the suites its own tests, which are named after it.
+        # In addition to the suites its own tests, which are named after it.
         [
             sys.executable,
             "-m",
@@ -91,9 +91,9 @@ def test_an_example_keeps_every_rule_by_its_page_s_command(kind: str, site: Path
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
-    told = dict(re.findall(r"^(\w+): (\d+ kept, \d+ broken.*)$", done.stdout, re.MULTILINE))
-    assert {suite: told[suite].partition(",")[0] for suite in KEPT[kind]} == KEPT[kind]
-    assert all(", 0 broken" in line for line in told.values())
+    counts = dict(re.findall(r"^(\w+): (\d+ kept, \d+ broken.*)$", done.stdout, re.MULTILINE))
+    assert {suite: counts[suite].partition(",")[0] for suite in KEPT[kind]} == KEPT[kind]
+    assert all(", 0 broken" in line for line in counts.values())
     assert f"solimon's rules: {kind}, solimon-{example.replace('_', '-')} 0.1.0" in done.stdout
     assert re.search(r"^tests.test_\w+\.py \.+", done.stdout, re.MULTILINE), "its own tests ran, too"
 
@@ -110,7 +110,7 @@ def test_a_mixed_rig_takes_a_set_by_the_example_s_scope_and_a_counter_of_ni(
     with running_brain(quick_description()) as doubles:
         meet(doubles, monkeypatch)
 
-        class BesideTheChassis(ScopeDouble):
+        class ScopeNextToTheChassis(ScopeDouble):
             """A scope whose transducer is struck by the coil at the counter of a board."""
 
             strikes = 0
@@ -122,7 +122,7 @@ def test_a_mixed_rig_takes_a_set_by_the_example_s_scope_and_a_counter_of_ni(
                     self.wave_arrives(wave_v, RATE_HZ)
                 return super().bs_is_ready(handle, ready)
 
-        scope = BesideTheChassis()
+        scope = ScopeNextToTheChassis()
         monkeypatch.setattr(api, "load", lambda name: as_library(scope))
         instruments = {
             "counter": boards(doubles, "C", input=""),

@@ -39,8 +39,8 @@ def machine(monkeypatch):
 
 
 @pytest.fixture
-def begun(machine, tmp_path):
-    """A test in real time, stopped after two sets, and its machine."""
+def started_folder(machine, tmp_path):
+    """Return the folder of a test in real time, stopped after two sets."""
     stop = threading.Event()
     machine.after(1.2, stop.set)
     assert not run(settings_of(), tmp_path, stop=stop, wall_clock=machine.clock)
@@ -49,55 +49,55 @@ def begun(machine, tmp_path):
 
 
 @MACHINE_NAMES_ITS_BOOT
-def test_the_next_recorder_makes_it_again_and_goes_on_from_the_same_hour_0(machine, begun):
-    before = table_rows(begun)
-    lose_catalogue(begun)
+def test_the_next_recorder_rebuilds_the_catalogue_and_continues_from_the_same_hour_0(machine, started_folder):
+    before = table_rows(started_folder)
+    lose_catalogue(started_folder)
     # The computer was off for a while: one set is missed.
     machine.sleep(3000.0)
-    assert run(settings_of(), begun, wall_clock=machine.clock)
-    after = table_rows(begun)
+    assert run(settings_of(), started_folder, wall_clock=machine.clock)
+    after = table_rows(started_folder)
     del before["counts"]  # they go on; below they are compared
     for name, rows in before.items():
         columns = 4 if name == "verdicts" else None  # those of the baseline's sets waited for it
         assert [row[:columns] for row in after[name][: len(rows)]] == [row[:columns] for row in rows], name
-    with open_catalogue(begun) as catalogue:
+    with open_catalogue(started_folder) as catalogue:
         states = [row.state for row in catalogue.rows(SetRow, position="B")]
         assert states == ["done", "done", "missed", "done", "done", "done"]
-        told = catalogue.last_service_event("catalogue_rebuilt")
-        assert (told.payload["sets"], told.payload["warnings"]) == (2, [])
+        event = catalogue.last_service_event("catalogue_rebuilt")
+        assert (event.payload["sets"], event.payload["warnings"]) == (2, [])
         assert all(len(row.file_sha256) == 64 for row in catalogue.rows(SetRow) if row.file)
-    whole = table_rows(begun)
-    lose_catalogue(begun)
-    answer = solimon_here("rebuild", "--data-dir", str(begun), "--json", env=os.environ)
+    whole = table_rows(started_folder)
+    lose_catalogue(started_folder)
+    answer = solimon_here("rebuild", "--data-dir", str(started_folder), "--json", env=os.environ)
     assert (answer.returncode, json.loads(answer.stdout)["warnings"]) == (0, [])
     assert "set 5 of 5" in answer.stderr
-    assert table_rows(begun) == whole
+    assert table_rows(started_folder) == whole
 
 
 @MACHINE_NAMES_ITS_BOOT
-def test_another_experiment_is_not_taken_into_the_same_baseline(machine, begun):
+def test_another_experiment_is_not_taken_into_the_same_baseline(machine, started_folder):
     lower = settings_of(drop_height_m=3e-3)
     both = r"drop_height_m began with 0.005, is 0.003 now"
-    lose_catalogue(begun)
+    lose_catalogue(started_folder)
     with pytest.raises(OtherExperimentError, match=both):
-        check_owner(lower, begun)
+        check_owner(lower, started_folder)
     with pytest.raises(OtherExperimentError, match=both):
-        run(lower, begun, wall_clock=machine.clock)
+        run(lower, started_folder, wall_clock=machine.clock)
     # Nothing but the sets is left.
-    lose_catalogue(begun, EXPERIMENT_FILE, HISTORY_FILE)
+    lose_catalogue(started_folder, EXPERIMENT_FILE, HISTORY_FILE)
     with pytest.raises(OtherExperimentError, match=both):
-        run(lower, begun, wall_clock=machine.clock)
-    assert len(set_files(begun)) == 2
-    assert not (begun / EXPERIMENT_FILE).exists()
+        run(lower, started_folder, wall_clock=machine.clock)
+    assert len(set_files(started_folder)) == 2
+    assert not (started_folder / EXPERIMENT_FILE).exists()
 
 
 @MACHINE_NAMES_ITS_BOOT
-def test_a_damaged_catalogue_stops_the_start_with_the_remedy_which_helps(machine, begun):
-    before = table_rows(begun)
-    with closing(sqlite3.connect(begun / FILE_NAME)) as database:
+def test_a_corrupt_catalogue_stops_the_start_with_a_working_remedy(machine, started_folder):
+    before = table_rows(started_folder)
+    with closing(sqlite3.connect(started_folder / FILE_NAME)) as database:
         database.execute("UPDATE experiment SET epoch_utc_ns = epoch_utc_ns + 1")
         database.commit()
     with pytest.raises(CatalogueDamagedError, match=r"row 1 of table experiment.*solimon rebuild"):
-        run(settings_of(), begun, wall_clock=machine.clock)
-    assert solimon_here("rebuild", "--data-dir", str(begun), env=os.environ).returncode == 0
-    assert table_rows(begun) == before
+        run(settings_of(), started_folder, wall_clock=machine.clock)
+    assert solimon_here("rebuild", "--data-dir", str(started_folder), env=os.environ).returncode == 0
+    assert table_rows(started_folder) == before

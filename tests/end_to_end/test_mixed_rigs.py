@@ -1,4 +1,4 @@
-"""Sets of mixed rigs through the recorder: NI boards (on doubles) beside instruments of another package."""
+"""Sets of mixed rigs through the recorder: NI boards (on doubles) with instruments of another package."""
 
 import json
 import threading
@@ -67,7 +67,7 @@ def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> Running
 
 
 def mixed(instruments: dict[str, Any], places: dict[str, tuple[str, str]], **rig: Any) -> Settings:
-    """One set of a mixed rig; places name digitizer and striker."""
+    """Return settings of one set of a mixed rig; places name digitizer and striker."""
     served = {name: {"digitizer": one, "striker": other} for name, (one, other) in places.items()}
     return with_defaults(
         Settings(
@@ -86,7 +86,7 @@ def mixed(instruments: dict[str, Any], places: dict[str, tuple[str, str]], **rig
 
 
 def boards(doubles: RunningDoubles, position: str, **ends: str) -> dict[str, Any]:
-    """Table of the boards with one transducer, of which only some ends are wired."""
+    """Return the table of the boards with one transducer that is only partly wired."""
     parameters = parameters_of(DESCRIPTION, doubles)
     wiring = replace(parameters.transducers[position], **ends)
     values: dict[str, Any] = TypeAdapter(DaqmxParameters).dump_python(
@@ -100,7 +100,7 @@ def set_rows(folder: Path) -> dict[str, SetRow]:
         return {row.position: row for row in catalogue.rows(SetRow)}
 
 
-def told(folder: Path, *kinds: str) -> list[EventRow]:
+def events_of(folder: Path, *kinds: str) -> list[EventRow]:
     with open_catalogue(folder) as catalogue:
         return [row for row in catalogue.events_after(0) if row.kind in kinds]
 
@@ -140,7 +140,7 @@ def test_boards_digitize_what_another_instrument_strikes(
     assert len(coil_pulses_s(doubles.control.record())) == SHOTS
 
 
-def test_a_person_is_asked_on_every_way_and_no_longer_than_it_lasts(script: Script, folder: Path) -> None:
+def test_a_person_is_prompted_on_every_channel_until_the_strike_ends(script: Script, folder: Path) -> None:
     heard: list[tuple[str, dict[str, Any]]] = []
     settings = mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer")}, read_timeout_s=400.0)
     prepare_data_folder(folder)
@@ -152,7 +152,7 @@ def test_a_person_is_asked_on_every_way_and_no_longer_than_it_lasts(script: Scri
             stop=threading.Event(),
             report=lambda event, **values: heard.append((event, values)),
         )
-    asked = told(folder, "asked", "asked_over")
+    asked = events_of(folder, "asked", "asked_over")
     assert [row.kind for row in asked] == ["asked", "asked_over"] * SHOTS
     assert asked[2].payload == {
         "text": "strike B now", "position": "B", "set_index": 0, "shot_index": 1, "attempt": 0,
@@ -170,7 +170,7 @@ def test_a_person_is_asked_on_every_way_and_no_longer_than_it_lasts(script: Scri
 def test_a_strike_that_does_not_come_is_a_missed_shot(script: Script, folder: Path) -> None:
     script.comes = False
     assert run(mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer")}), folder)
-    assert [row.kind for row in told(folder, "asked", "asked_over")] == ["asked", "asked_over"] * SHOTS
+    assert [row.kind for row in events_of(folder, "asked", "asked_over")] == ["asked", "asked_over"] * SHOTS
     (row,) = set_rows(folder).values()
     assert (row.state, row.n_taken) == ("missed", 0)
     assert "nothing came at B within 5 s" in row.cause
@@ -200,7 +200,7 @@ def test_every_striker_is_made_safe_though_one_fails(script: Script) -> None:
     assert script.events == ["make_safe", "make_safe", "disarm", "close", "close", "close"]
 
 
-def test_each_instrument_is_opened_once_and_told_what_it_serves(script: Script) -> None:
+def test_each_instrument_is_opened_once_with_the_positions_it_serves(script: Script) -> None:
     settings = mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer"), "C": ("scope", "hammer")})
     clock = WallClock()
     with open_rig(settings, clock, 5):
@@ -211,7 +211,7 @@ def test_each_instrument_is_opened_once_and_told_what_it_serves(script: Script) 
     assert scope.experiment["rig"]["instruments"]["scope"]["range_v"] == 10.0
 
 
-def test_a_kind_that_does_not_give_what_it_offers_is_named(script: Script, folder: Path) -> None:
+def test_a_kind_without_an_offered_instrument_is_named(script: Script, folder: Path) -> None:
     settings = mixed({"liar": {"kind": "liar"}, "scope": SCOPE}, {"B": ("scope", "liar")})
     with pytest.raises(RigError, match=r"rig.instruments.liar: .* opened without a striker.*lab-drivers 1.2"):
         run(settings, folder)
@@ -243,7 +243,7 @@ def test_supply_and_climate_of_other_packages_are_logged(script: Script, folder:
         assert (rig.supply, rig.climate is None) == (None, False)
 
 
-def test_the_doctor_looks_as_each_kind_does_and_strikes_with_the_position_s_own_instruments(
+def test_the_doctor_checks_each_kind_and_strikes_with_the_instruments_of_the_position(
     script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     places = {"B": ("scope", "hammer"), "C": ("scope", "other")}
@@ -251,9 +251,9 @@ def test_the_doctor_looks_as_each_kind_does_and_strikes_with_the_position_s_own_
     config = tmp_path / "rig.json"
     config.write_text(settings.model_dump_json(), encoding="utf-8")
     assert run_doctor(config=config, data_dir=tmp_path / "data", strike="B", as_json=True) == 0
-    said = capsys.readouterr()
-    assert "strike B now" in said.err.splitlines()
-    report = json.loads(said.out)
+    printed = capsys.readouterr()
+    assert "strike B now" in printed.err.splitlines()
+    report = json.loads(printed.out)
     checks = {check["name"]: check for check in report["checks"]}
     assert (checks["scope: front panel: lamp"]["state"], checks["scope: front panel: lamp"]["remedy"]) == (
         "warn", "switch on",

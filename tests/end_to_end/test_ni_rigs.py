@@ -53,7 +53,7 @@ def configuration(running: DemoRig, folder: Path) -> Path:
 
 @contextmanager
 def rig_here(rig: str, changed: Callable[[DemoRig], DemoRig] = lambda rig: rig) -> Iterator[DemoRig]:
-    """Run a rig whose libraries this very process meets; its double is forked."""
+    """Run a rig whose libraries this process loads; its double is forked."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("simulator.doubles.transports.control.running_doubles", running_brain)
         with running_rig(rig, SMALL) as running:
@@ -66,11 +66,11 @@ def rig_here(rig: str, changed: Callable[[DemoRig], DemoRig] = lambda rig: rig) 
             yield changed(running)
 
 
-def follow(running: DemoRig, folder: Path, tell: Callable[..., None] = lambda event, **_: None) -> bool:
-    """Follow the schedule in this process."""
+def follow(running: DemoRig, folder: Path, notify: Callable[..., None] = lambda event, **_: None) -> bool:
+    """Run the schedule in this process."""
     prepare_data_folder(folder)
     with own_data_folder(folder):
-        return record(running.settings, folder, open_rig, stop=threading.Event(), report=tell)
+        return record(running.settings, folder, open_rig, stop=threading.Event(), tell=notify)
 
 
 def shot_features(folder: Path) -> dict[tuple[str, int, int], Mapping[str, Any]]:
@@ -88,13 +88,13 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("rig", NI_RIGS)
-def test_a_set_through_nidaqmx_is_the_twins_and_says_how_it_was_taken(
+def test_a_set_through_nidaqmx_equals_the_twin_and_stores_its_settings(
     rig: str, simulated: Path, tmp_path: Path
 ) -> None:
     with rig_here(rig) as running:
         assert follow(running, tmp_path)
         with DoublesControl(running.environment[CONTROL_VARIABLE]) as doubles:
-            told = doubles.record()
+            driver_record = doubles.record()
     expected, found = shot_features(simulated), shot_features(tmp_path)
     assert found.keys() == expected.keys()
     assert len(found) == 12
@@ -108,10 +108,10 @@ def test_a_set_through_nidaqmx_is_the_twins_and_says_how_it_was_taken(
     # Once at the start, not again within a day; what it says names each board.
     (calibrated,) = [row.payload for row in events if row.kind == "self_calibrated"]
     assert "01E16086" in calibrated
-    assert told["tasks"] == []
-    assert told["leaked"] == []
-    assert told["sessions"] == []
-    assert told["reservations"] == {}
+    assert driver_record["tasks"] == []
+    assert driver_record["leaked"] == []
+    assert driver_record["sessions"] == []
+    assert driver_record["reservations"] == {}
     record_ = read_set(set_files(tmp_path)[0])
     assert record_.rig_kind == "daqmx"
     assert record_.provenance["rig_identity"]["doubles"], "data of a double say so"
@@ -130,7 +130,7 @@ INVALID_VALUE = -200077
 
 
 def one_transducer(running: DemoRig, sets: int, **clock: Any) -> DemoRig:
-    """One transducer, a set of one strike every two seconds, and little patience."""
+    """Return one transducer, a set of one strike every two seconds, and short timeouts."""
     values = running.settings.model_dump(mode="json")
     values["clock"] |= clock
     values["schedule"] |= {
@@ -188,7 +188,7 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: s
         finally:
             stop.set()
             thread.join(60.0)
-        told = doubles.record()
+        driver_record = doubles.record()
     assert codes == [0]
     with open_catalogue(tmp_path) as catalogue:
         sets = catalogue.rows(SetRow, position="D")
@@ -200,17 +200,22 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: s
     assert missed, "the sets of that time are gaps in the ledger"
     assert all("hung while taking set" in row.cause for row in missed)
     # The counter ends each pulse: whatever hung, no level stayed high for longer than the pulse.
-    for line in {event["line"] for event in told["lines"]}:
-        events = [event for event in told["lines"] if event["line"] == line]
+    for line in {event["line"] for event in driver_record["lines"]}:
+        events = [event for event in driver_record["lines"] if event["line"] == line]
         assert [event["level"] for event in events] == [1, 0] * (len(events) // 2)
         for on, off in zip(events[::2], events[1::2], strict=True):
             assert off["ns"] - on["ns"] <= PULSE_NS * 1.01
-    assert not any(told["levels"].values())
+    assert not any(driver_record["levels"].values())
 
 
 def nothing_is_left(doubles: DoublesControl) -> bool:
-    told = doubles.record()
-    return not (told["tasks"] or told["leaked"] or told["reservations"] or any(told["levels"].values()))
+    driver_record = doubles.record()
+    return not (
+        driver_record["tasks"]
+        or driver_record["leaked"]
+        or driver_record["reservations"]
+        or any(driver_record["levels"].values())
+    )
 
 
 def sets_and_alarm(folder: Path) -> tuple[list[Mapping[str, Any]], Mapping[str, Any]]:
@@ -228,13 +233,13 @@ def test_a_board_that_comes_back_under_another_name_costs_the_sets_it_was_gone(
         DoublesControl(started.environment[CONTROL_VARIABLE]) as doubles,
     ):
 
-        def tell(event: str, **values: Any) -> None:
+        def notify(event: str, **values: Any) -> None:
             if event == "progress" and values["done"] == 1:
                 doubles.unplug(BOARD_SERIAL)
             if event == "progress" and values["done"] == 3:
                 doubles.plug(BOARD_SERIAL, "Dev9")
 
-        assert follow(one_transducer(started, 6), tmp_path, tell)
+        assert follow(one_transducer(started, 6), tmp_path, notify)
         assert nothing_is_left(doubles)
     sets, alarm = sets_and_alarm(tmp_path)
     assert [row.state for row in sets] == ["done", "missed", "missed", "done", "done", "done"]
@@ -251,12 +256,12 @@ def test_a_request_that_the_board_refuses_in_the_midst_of_a_test_costs_its_set(
         DoublesControl(started.environment[CONTROL_VARIABLE]) as doubles,
     ):
 
-        def tell(event: str, **values: Any) -> None:
+        def notify(event: str, **values: Any) -> None:
             if event == "progress" and values["done"] == 1:
                 doubles.inject("DAQmxStartTask", "error", code=INVALID_VALUE)
 
         running = one_transducer(started, 4)
-        assert follow(running, tmp_path, tell)
+        assert follow(running, tmp_path, notify)
         assert nothing_is_left(doubles)
     sets, alarm = sets_and_alarm(tmp_path)
     assert [row.state for row in sets] == ["done", "missed", "done", "done"]

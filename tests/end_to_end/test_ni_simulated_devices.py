@@ -47,7 +47,7 @@ def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> Running
 
 
 def configuration(folder: Path, doubles: RunningDoubles, **changes: Any) -> Path:
-    """A configuration file of more sets than a baseline needs."""
+    """Write a configuration file of more sets than a baseline needs."""
     boards = asdict(replace(parameters_of(DESCRIPTION, doubles), **changes))
     values: dict[str, Any] = {
         "clock": {"kind": "wall"},
@@ -66,13 +66,13 @@ def configuration(folder: Path, doubles: RunningDoubles, **changes: Any) -> Path
 
 
 def looked_at(config: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
-    """Exit code of doctor, and its checks of the rig by name."""
+    """Return the exit code of doctor, and its checks of the rig by name."""
     code = run_doctor(config=config, data_dir=folder, strike=None, as_json=True)
     checks = json.loads(capsys.readouterr().out)["checks"]
     return code, {check["name"]: check for check in checks if check["area"] == "rig"}
 
 
-def test_doctor_lets_a_rehearsal_pass_and_calls_nothing_real_or_calibrated(
+def test_doctor_passes_a_rehearsal_and_calls_nothing_real_or_calibrated(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     config = configuration(tmp_path, doubles, dry_run=True)
@@ -86,7 +86,7 @@ def test_doctor_lets_a_rehearsal_pass_and_calls_nothing_real_or_calibrated(
         assert "made up" in unknown[f"transducer {position}: noise"]
 
 
-def test_doctor_fails_where_strikes_are_wanted(
+def test_doctor_fails_for_a_configuration_with_strikes(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     code, checks = looked_at(configuration(tmp_path, doubles), tmp_path / "data", capsys)
@@ -96,7 +96,7 @@ def test_doctor_fails_where_strikes_are_wanted(
     assert "dry_run = true" in refused["remedy"]
 
 
-def test_a_recorder_rehearses_and_nothing_is_good_judged_or_a_baseline(
+def test_a_rehearsal_produces_no_good_sets_no_assessments_and_no_baseline(
     doubles: RunningDoubles, tmp_path: Path
 ) -> None:
     settings = load_settings(configuration(tmp_path, doubles, dry_run=True))
@@ -115,10 +115,10 @@ def test_a_recorder_rehearses_and_nothing_is_good_judged_or_a_baseline(
         ]
         assert {row.outlier for row in catalogue.rows(AssessmentRow)} <= {None}
         assert catalogue.rows(AlarmRow) == [], "what is made up is no damage either"
-    told = read_set(set_files(folder)[0]).shots[0]
-    assert told.settings["calibration_date"] == ""
+    shot = read_set(set_files(folder)[0]).shots[0]
+    assert shot.settings["calibration_date"] == ""
     # A full-scale sine wave: its rms is the range over the root of two.
-    rms_v, range_v = float(told.waveform.volts().std()), told.waveform.calibration.range_v
+    rms_v, range_v = float(shot.waveform.volts().std()), shot.waveform.calibration.range_v
     assert rms_v == pytest.approx(range_v / 2**0.5, rel=0.01)
     assert not any(event["level"] for event in doubles.control.record()["lines"])
 

@@ -24,8 +24,8 @@ CONFIGURATION_OF = {"9c4a9b9": PROBE_TOO, "ab39956": TRANSDUCER, "c3c2e28": TRAN
 TO_THE_END = {"schedule": {"end_h": 2.0}}
 SETS = 20
 FINAL_TABLES = ("experiment", "sets", "shots", "features", "thickness", "baselines", "events")
-"""Tables whose rows nobody changes once they are there; an alarm follows its state, and
-the verdicts of a baseline's sets wait for it."""
+"""Tables whose rows never change; an alarm follows its state, and
+the assessments of a baseline's sets wait for it."""
 
 CAME_LATER = {
     "state",
@@ -38,14 +38,14 @@ CAME_LATER = {
     "chart_alarm",
 }
 CAME_LATER |= {"cause", "cause_probability", "cause_told"}
-"""Columns of a baseline that has a chart, and of its verdicts."""
+"""Columns of a baseline that has a chart, and of its assessments."""
 
 Unpack = Callable[[str], Path]
 
 
 @pytest.fixture
 def unpack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Unpack:
-    """Give a copy of the folder that a commit left, to the extractor's version that most of them have.
+    """Return a function that copies the folder of a commit, with the most common extractor version.
 
     Later ones flag more and measure the same: everything else of these folders can be gone on with.
     """
@@ -67,7 +67,7 @@ def settings_of(commit: str, **tables: Any) -> Settings:
 
 
 def stored_rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """Rows as they stand in the file, whatever its revision."""
+    """Return rows as stored in the file of any revision."""
     database = sqlite3.connect(folder / "catalogue.sqlite")
     database.row_factory = sqlite3.Row
     rows = {
@@ -83,7 +83,7 @@ def digests(folder: Path, pattern: str) -> dict[str, str]:
 
 
 def goes_on(folder: Path, commit: str) -> dict[str, list[dict[str, Any]]]:
-    """Go on to the end and return the rows; what was there is as it was."""
+    """Continue to the end and return the rows; check that earlier rows are unchanged."""
     before, files = stored_rows(folder), digests(folder, "sets/*.h5")
     assert run(settings_of(commit), folder)
     after = stored_rows(folder)
@@ -96,7 +96,7 @@ def goes_on(folder: Path, commit: str) -> dict[str, list[dict[str, Any]]]:
 
 
 def leaves(value: Any, *where: Any) -> Iterator[tuple[tuple[Any, ...], Any]]:
-    """Every number and text of rows, by where it stands."""
+    """Return every number and text of rows by its location."""
     content = asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
     if isinstance(content, dict | list | tuple):
         for name, part in content.items() if isinstance(content, dict) else enumerate(content):
@@ -120,7 +120,7 @@ def test_a_folder_of_an_earlier_version_goes_on_under_its_own_hash(unpack: Unpac
     assert last["versions"]["twin"] == "1"
 
 
-def test_going_on_gives_the_rows_of_a_run_in_one_go(unpack: Unpack, tmp_path: Path) -> None:
+def test_a_continued_run_has_the_rows_of_an_uninterrupted_one(unpack: Unpack, tmp_path: Path) -> None:
     folder, whole = unpack("9c4a9b9"), tmp_path / "whole"
     assert run(settings_of("9c4a9b9"), folder)
     assert run(settings_of("9c4a9b9"), whole)
@@ -163,7 +163,7 @@ def test_the_first_catalogue_is_migrated_by_the_recorder_that_goes_on(
 
 
 @pytest.mark.parametrize(
-    ("name", "told"),
+    ("name", "message"),
     [
         ("daq_service.catalogue.owner.TWIN_VERSION", "physics of the twin: began with 1, is 2 now"),
         (
@@ -174,13 +174,13 @@ def test_the_first_catalogue_is_migrated_by_the_recorder_that_goes_on(
     ],
 )
 def test_a_version_that_measures_otherwise_names_what_changed(
-    unpack: Unpack, monkeypatch: pytest.MonkeyPatch, name: str, told: str
+    unpack: Unpack, monkeypatch: pytest.MonkeyPatch, name: str, message: str
 ) -> None:
     folder = unpack("9c4a9b9")
     monkeypatch.setattr(name, "2")
     with pytest.raises(StorageError) as caught:
         check_owner(settings_of("9c4a9b9"), folder)
-    assert told in str(caught.value)
+    assert message in str(caught.value)
     assert "with solimon 0.1.0), or choose another folder with --data-dir" in str(caught.value)
     assert caught.value.exit_code == 4
 
@@ -196,7 +196,7 @@ def test_a_changed_key_is_named_with_both_values(unpack: Unpack) -> None:
     ]
 
 
-def test_a_new_version_of_the_package_alone_is_told_and_not_refused(
+def test_a_new_package_version_alone_is_reported_and_not_refused(
     unpack: Unpack, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr("daq_service.recording.session.version", lambda name: "9.0.0")

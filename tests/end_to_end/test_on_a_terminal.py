@@ -1,4 +1,4 @@
-"""What a person sees: whole commands on a pseudo-terminal, beside pictures that are kept in `terminal/`."""
+"""Complete commands on a pseudo-terminal, compared with the screens in `terminal/`."""
 
 import json
 import os
@@ -42,7 +42,7 @@ MASKS = (
     (r"done in \d+\.\d s", "done in <time>"),
     (r"(seconds of the recorder's last run:).*", r"\1 <cost>"),
     (r"\d+\.\d\d GB free", "<size> free"),
-    # How long they take is the machine's; they are told only where it is long.
+    # How long they take is the machine's; they are reported only where it is long.
     (r"(?m)^(compiling|building) the twin's .*: took .*\n", ""),
 )
 
@@ -55,7 +55,7 @@ def masked(text: str, folder: Path) -> str:
 
 
 def check(name: str, terminal: PseudoTerminal, folder: Path, *, at_any_time: str = "\0") -> None:
-    """Compare the screen with the kept picture; `SOLIMON_TEST_PICTURES=keep` keeps the new one.
+    """Compare the screen with the stored output; `SOLIMON_TEST_PICTURES=keep` stores the new one.
 
     A line that begins with ``at_any_time`` comes from another process than the others: it is put first.
     """
@@ -82,7 +82,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def recorded(folder: Path) -> Iterator[PseudoTerminal]:
-    """One set by `record`."""
+    """Record one set by `record`."""
     with on_terminal(arguments("record", folder=folder), quick(0.5)) as terminal:
         assert terminal.end() == 0
         yield terminal
@@ -90,7 +90,7 @@ def recorded(folder: Path) -> Iterator[PseudoTerminal]:
 
 @pytest.fixture(scope="module")
 def ran(folder: Path, recorded: PseudoTerminal) -> Iterator[PseudoTerminal]:
-    """Another one by `run` on the folder beside its configuration; its recorder is killed after that."""
+    """Run another set by `run` in the same folder, then kill its recorder."""
     del recorded
     config = folder.parent / "test.toml"
     config.write_text(f"[storage]\nfolder = '{folder.name}'\n", encoding="utf-8")
@@ -107,14 +107,14 @@ def ran(folder: Path, recorded: PseudoTerminal) -> Iterator[PseudoTerminal]:
         yield terminal
 
 
-def test_record_shows_how_far_it_is_and_leaves_it_standing(recorded: PseudoTerminal, folder: Path) -> None:
+def test_record_prints_its_progress_and_keeps_the_last_line(recorded: PseudoTerminal, folder: Path) -> None:
     check("record", recorded, folder)
     # Which of its first steps are seen is a matter of time.
     assert re.search("opening the rig|building the twin|waiting for set 0", recorded.written)
     assert "\x1b[2K" in recorded.written, "one line, written again"
 
 
-def test_run_tells_the_page_the_progress_a_restart_and_the_end(ran: PseudoTerminal, folder: Path) -> None:
+def test_run_prints_the_address_the_progress_a_restart_and_the_end(ran: PseudoTerminal, folder: Path) -> None:
     check("run", ran, folder, at_any_time="dashboard")
     assert len(FolderSetReader(folder).sets()) == 2, "the folder of the configuration, beside its file"
 
@@ -135,7 +135,7 @@ def test_status_in_a_pipe_has_the_same_words_and_no_colour(ran: PseudoTerminal, 
     assert masked(done.stdout, folder) == kept
 
 
-def test_serve_says_where_and_ends_by_ctrl_c(ran: PseudoTerminal, folder: Path) -> None:
+def test_serve_prints_its_address_and_ends_by_ctrl_c(ran: PseudoTerminal, folder: Path) -> None:
     del ran
     with on_terminal(arguments("serve", "--port", "0", folder=folder), QUICK) as terminal:
         terminal.until("http://")
@@ -143,7 +143,7 @@ def test_serve_says_where_and_ends_by_ctrl_c(ran: PseudoTerminal, folder: Path) 
     check("serve", terminal, folder)
 
 
-def test_whoever_watches_sees_what_changes_and_keeps_the_last_picture(
+def test_a_watched_status_shows_changes_and_keeps_the_last_output(
     ran: PseudoTerminal, folder: Path, tmp_path: Path
 ) -> None:
     del ran
@@ -162,7 +162,7 @@ def test_whoever_watches_sees_what_changes_and_keeps_the_last_picture(
     check("watch", terminal, watched)
 
 
-def test_demo_says_first_words_its_folder_how_far_it_is_and_its_summary(tmp_path: Path) -> None:
+def test_demo_prints_a_greeting_its_folder_the_progress_and_a_summary(tmp_path: Path) -> None:
     folder = tmp_path / "data"
     command = arguments("demo", "--exit", "--no-web", "--hours", "0.5", folder=folder)
     with on_terminal(command, QUICK) as terminal:
@@ -172,7 +172,7 @@ def test_demo_says_first_words_its_folder_how_far_it_is_and_its_summary(tmp_path
 
 
 @pytest.mark.slow
-def test_the_first_compilation_is_told_while_it_goes_on(tmp_path: Path) -> None:
+def test_the_first_compilation_is_reported_while_it_runs(tmp_path: Path) -> None:
     command = arguments("record", folder=tmp_path / "data")
     with on_terminal(command, {**quick(0.5), "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
         assert terminal.end() == 0
@@ -185,7 +185,7 @@ def test_the_first_compilation_is_told_while_it_goes_on(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_compilation_of_a_twin_with_a_process_of_its_own_is_told(tmp_path: Path) -> None:
+def test_the_compilation_in_a_twin_process_is_reported(tmp_path: Path) -> None:
     command = arguments("demo", "--exit", "--no-web", folder=tmp_path / "data")
     with on_terminal(command, {**QUICK, "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
         # Some seconds of it are the recorder's own; the long part comes with the first strikes.
@@ -197,7 +197,7 @@ def test_the_compilation_of_a_twin_with_a_process_of_its_own_is_told(tmp_path: P
 
 @pytest.mark.slow
 @pytest.mark.parametrize("option", ["", "--no-browser"])
-def test_demo_opens_its_page_where_somebody_sits_at_a_screen(tmp_path: Path, option: str) -> None:
+def test_demo_opens_its_page_on_a_computer_with_a_screen(tmp_path: Path, option: str) -> None:
     opened, browser = tmp_path / "opened", tmp_path / "browser"
     browser.write_text(f'#!/bin/sh\necho "$1" >> "{opened}"\n', encoding="utf-8")
     browser.chmod(0o755)

@@ -4,11 +4,11 @@ import re
 from pathlib import Path
 
 import pytest
-from support.pictures import DEMO, DOCS, PICTURES, make, parsed_line, told
+from support.pictures import DEMO, DOCS, PICTURES, make, parsed_line, source_of
 from test_docs import PAGES
 
 MOST_BYTES = 1_500_000
-"""Of all of them: whoever clones the repository takes them along."""
+"""Limit of all files: each clone of the repository contains them."""
 
 
 def test_the_docs_show_the_pictures_that_the_command_makes_and_no_others() -> None:
@@ -30,14 +30,14 @@ def test_each_step_of_the_tutorial_has_its_picture() -> None:
     assert without == []
 
 
-def test_each_picture_was_taken_of_what_the_list_says() -> None:
-    assert {p.file: parsed_line(DOCS / p.file) for p in PICTURES} == {p.file: told(p) for p in PICTURES}
+def test_each_screenshot_matches_the_list() -> None:
+    assert {p.file: parsed_line(DOCS / p.file) for p in PICTURES} == {p.file: source_of(p) for p in PICTURES}
     assert sum((DOCS / picture.file).stat().st_size for picture in PICTURES) < MOST_BYTES
 
 
 @pytest.mark.slow
 @pytest.mark.browser
-def test_the_command_makes_all_of_them(tmp_path: Path) -> None:
+def test_the_command_writes_all_files(tmp_path: Path) -> None:
     make(tmp_path)
     made = {path.relative_to(tmp_path).as_posix(): parsed_line(path) for path in tmp_path.rglob("*.*")}
-    assert made == {picture.file: told(picture) for picture in PICTURES}
+    assert made == {picture.file: source_of(picture) for picture in PICTURES}

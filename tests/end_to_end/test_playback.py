@@ -24,12 +24,12 @@ from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import PLANNED_SETS, PulseEchoRecord
 
 END_H, SHORT_H, LAST = 8.0, 1.5, 15
-"""Beyond the baseline of 7.5 h there are verdicts; what concerns single shots is seen in less."""
+"""After the baseline of 7.5 h there are assessments; what concerns single shots is seen in less."""
 FEATURES = ("set_features", "shot_features", "thickness", "verdicts", "baselines", "alarms")
 
 
 def small_settings(**tables: Any) -> Settings:
-    """Settings of a probe and two transducers; no confirmation set is asked for but where a test says so."""
+    """Return settings of a probe and two transducers, without confirmation sets by default."""
     alarms = {"hole_shots": 2, "confirmation_sets_a_day": 0} | tables.pop("alarms", {})
     settings = half_a_day(baseline={"hours": 7.5}, alarms=alarms, **tables)
     kept = {name: place for name, place in settings.positions.items() if name != "D"}
@@ -37,14 +37,14 @@ def small_settings(**tables: Any) -> Settings:
 
 
 def played_back(source: Path, end_h: float = END_H, **tables: Any):
-    """Settings of the same test on a recording."""
+    """Return settings of the same test on a recording."""
     playback = {"source": str(source), **tables.pop("playback", {})}
     return small_settings(schedule={"end_h": end_h}, rig={"kind": "playback", "playback": playback}, **tables)
 
 
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory):
-    """A short test on the twin, whose last set lies beyond the limit at B."""
+    """Record a short test on the twin; its last set is above the limit at B."""
 
     def disturb(key, acquired):
         if (key.position, key.set_index) != ("B", LAST):
@@ -110,11 +110,15 @@ def test_a_playback_cut_short_goes_on_where_it_ended(recording, tmp_path):
     assert run(played_back(recording, **asking), tmp_path)
     assert_same_sets(tmp_path, recording)
     rows, recorded = rows_of(tmp_path), rows_of(recording)
-    # The recording has no set beside the plan: it is told as that, and nothing else comes of it.
-    (beside,) = [row for row in rows["sets"] if row.purpose == "confirmation"]
-    assert (beside.position, beside.set_index, beside.state) == ("B", PLANNED_SETS + LAST, "missed")
-    assert "the recording has no attempt 0 at shot 0" in beside.cause
-    assert rows | {"sets": [row for row in rows["sets"] if row is not beside]} == recorded
+    # The recording has no unscheduled set: it is reported as missed, without other consequences.
+    (unscheduled,) = [row for row in rows["sets"] if row.purpose == "confirmation"]
+    assert (unscheduled.position, unscheduled.set_index, unscheduled.state) == (
+        "B",
+        PLANNED_SETS + LAST,
+        "missed",
+    )
+    assert "the recording has no attempt 0 at shot 0" in unscheduled.cause
+    assert rows | {"sets": [row for row in rows["sets"] if row is not unscheduled]} == recorded
     assert [row.outlier for row in recorded["verdicts"] if row.set_index == LAST] == [True, False]
     assert recorded["alarms"] == []
 
@@ -148,7 +152,7 @@ def test_missed_strikes_are_missed_again_and_second_attempts_are_played(tmp_path
 
 
 def labview_copy(recording: Path, folder: Path, *, raw: bool, sets: int = 1000) -> Path:
-    """The recording's first sets as a LabVIEW program would have written them: a file a set."""
+    """Write the first sets of the recording as a LabVIEW program does: a file per set."""
     for set_index, path in list(set_files(recording).items())[:sets]:
         channels = []
         for record in read_set(path).records:
@@ -242,13 +246,13 @@ def test_the_toml_of_the_page_is_accepted(text, tmp_path):
     assert load_settings(path).rig.kind == "playback"
 
 
-def test_the_python_of_the_page_tells_hour_0(recording, capsys):
+def test_the_python_of_the_page_prints_hour_0(recording, capsys):
     (text,) = re.findall(r"```python\n(.*?)```", PAGE.read_text("utf-8"), flags=re.DOTALL)
     exec(text, {"path": set_files(recording)[3]})
     assert int(capsys.readouterr().out) == parse_utc("2024-01-01T00:00:00Z")
 
 
-def test_a_recording_made_without_the_quality_gate_is_struck_no_second_time(tmp_path):
+def test_a_recording_without_quality_checks_is_not_restruck(tmp_path):
     """A re-strike that no recording holds would count as missed and move every strike after it."""
 
     def missing(key: Any, acquired: Any) -> Any:

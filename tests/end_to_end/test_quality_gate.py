@@ -45,7 +45,7 @@ run = partial(run_experiment, listen_every_s=0.0)
 
 
 def clipped(acquired: Acquired) -> Acquired:
-    """The same strike at a range that is too small for its incident wave."""
+    """Return the same strike at a range that is too small for its incident wave."""
     waveform = acquired.waveform
     low, high = waveform.calibration.full_scale_counts
     counts = np.clip(waveform.counts * (1.1 * high / waveform.counts.max()), low, high)
@@ -53,7 +53,7 @@ def clipped(acquired: Acquired) -> Acquired:
 
 
 def noisy(acquired: Acquired) -> Acquired:
-    """White noise of 0.5 V over an incident wave of some 2.5 V: 14 dB, where a shot is noisy below 17."""
+    """Add white noise of 0.5 V to an incident wave of some 2.5 V: 14 dB, where a shot is noisy below 17."""
     waveform = acquired.waveform
     slope = float(waveform.calibration.coefficients_v[1])
     noise = np.random.default_rng(5).normal(0.0, 0.5 / slope, waveform.counts.size)
@@ -68,13 +68,13 @@ def untouched(key: ShotKey, acquired: Acquired) -> Acquired:
 def first_attempt(
     position: str, set_index: int, shot_index: int, change: Callable[[Acquired], Acquired]
 ) -> Disturb:
-    """Disturb the first strike of one shot; its repetition is as the twin has it."""
+    """Disturb the first strike of one shot, not its repetition."""
     wanted = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
     return lambda key, acquired: change(acquired) if key == wanted else acquired
 
 
 def silent(position: str, from_set: int = 0, until_set: int = 10_000) -> Disturb:
-    """Nothing triggers at one position."""
+    """Disturb a position so that nothing triggers."""
 
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         if key.position == position and from_set <= key.set_index < until_set:
@@ -118,7 +118,7 @@ class OrderingClock:
 def ordering_rig(
     folder: Path, orders: Sequence[Order], disturb: Disturb = untouched, *, late: bool = False
 ) -> RigOpener:
-    """A disturbed twin whose operator gives ``orders``: hour, kind, arguments."""
+    """Return a disturbed twin whose operator gives the commands ``orders``: hour, kind, arguments."""
 
     @contextmanager
     def opener(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
@@ -144,7 +144,7 @@ def alarms_of(folder: Path) -> dict[tuple[str | None, str], AlarmRow]:
 
 
 def answers(folder: Path) -> list[tuple[str, str, str]]:
-    """Kind, state and result of every order."""
+    """Return kind, state and result of every command."""
     with open_catalogue(folder) as catalogue:
         found = []
         while (row := catalogue.command(len(found) + 1)) is not None:
@@ -153,7 +153,7 @@ def answers(folder: Path) -> list[tuple[str, str, str]]:
 
 
 def only(names: str, settings: Settings) -> Settings:
-    """Of these positions: each costs its part of a test's time."""
+    """Return settings of these positions only: each costs test time."""
     return settings.model_copy(update={"positions": {name: settings.positions[name] for name in names}})
 
 
@@ -179,8 +179,8 @@ def test_a_missed_strike_is_repeated_and_the_set_is_done(tmp_path: Path) -> None
     due_ns = row.due_utc_ns
     assert [shot.utc_ns - due_ns for shot in shots] == [0, 2 * STEP_NS, 3 * STEP_NS]
     assert shots_of(tmp_path, "C", 2)[0].utc_ns - due_ns == 4 * STEP_NS
-    (told,) = read_set(set_files(tmp_path)[2]).missed
-    assert (told.key, told.cause, told.reason) == (
+    (missed_shot,) = read_set(set_files(tmp_path)[2]).missed
+    assert (missed_shot.key, missed_shot.cause, missed_shot.reason) == (
         ShotKey(position="B", set_index=2, shot_index=1),
         NO_TRIGGER,
         "no_trigger",
@@ -338,13 +338,13 @@ def with_a_silent_one() -> Settings:
 
 @pytest.fixture(scope="module")
 def silent_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of a test whose B falls silent, recorded in one go."""
+    """Record a test whose transducer B becomes silent; return its folder."""
     folder = tmp_path_factory.mktemp("silent")
     assert run(with_a_silent_one(), folder, rig=disturbed_rig(SILENT_FROM_SET_1))
     return folder
 
 
-def test_a_silent_transducer_raises_no_data_and_then_retires(silent_one: Path) -> None:
+def test_a_silent_transducer_raises_no_data_and_is_then_disabled(silent_one: Path) -> None:
     states = [row.state for row in sets_of(silent_one, "B")]
     assert states == ["done"] + ["missed"] * 4 + ["retired"] * 3
     assert {row.state for row in sets_of(silent_one, "D")} == {"done"}
@@ -372,7 +372,7 @@ def test_a_restart_between_silent_sets_changes_no_row(silent_one: Path, tmp_path
     assert rows_of(tmp_path) == rows_of(silent_one)
 
 
-def test_a_voice_in_between_begins_the_count_anew(tmp_path: Path) -> None:
+def test_a_valid_shot_in_between_restarts_the_count(tmp_path: Path) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         if key.position == "B" and key.set_index != 2:
             raise AcquisitionTimeoutError(NO_TRIGGER)
@@ -392,16 +392,14 @@ def test_a_voice_in_between_begins_the_count_anew(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("restart", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_a_reinstated_transducer_strikes_again_and_its_count_begins_anew(
-    tmp_path: Path, restart: bool
-) -> None:
+def test_an_enabled_transducer_strikes_again_and_its_count_restarts(tmp_path: Path, restart: bool) -> None:
     """Retired by sets 0 to 3, put back right after, silent again: four more sets, not one."""
     settings = only("BD", small_settings(schedule={"end_h": 5.0}, quality=SILENT))
     stop = threading.Event()
     quiet = silent("B")
 
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
-        # Before any set is stored as retired: nothing but the alarm's reset tells of the reinstatement.
+        # Before any set is stored as retired: only the reset of the alarm shows that it was enabled.
         if restart and key == ShotKey(position="D", set_index=4, shot_index=2):
             stop.set()
         return quiet(key, acquired)
@@ -421,7 +419,7 @@ def test_a_reinstated_transducer_strikes_again_and_its_count_begins_anew(
 
 
 @pytest.mark.parametrize("restart", [pytest.param(False, marks=pytest.mark.slow), True])
-def test_a_hole_that_was_none_needs_two_silent_sets_again(tmp_path: Path, restart: bool) -> None:
+def test_a_dismissed_hole_needs_two_silent_sets_again(tmp_path: Path, restart: bool) -> None:
     """The chain had lost contact: put right after set 6, and silent again at once."""
     thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 3.0}}
     settings = only("BD", small_settings(twin={"thinning": thinning}, schedule={"end_h": 6.0}))
@@ -439,7 +437,7 @@ def test_a_hole_that_was_none_needs_two_silent_sets_again(tmp_path: Path, restar
 
 
 @pytest.mark.slow
-def test_an_operator_retires_and_reinstates_between_sets(tmp_path: Path) -> None:
+def test_an_operator_disables_and_enables_between_sets(tmp_path: Path) -> None:
     orders: list[Order] = [
         (0.9, "retire", {"position": "C", "note": "sensor taken off"}),
         (0.9, "retire", {"position": "C"}),
@@ -465,7 +463,7 @@ def test_an_operator_retires_and_reinstates_between_sets(tmp_path: Path) -> None
 IN_SET_1 = 1.0 + 16 / 3600  # between C's first strike (12 s after the hour) and its second
 
 
-def test_a_transducer_retired_during_its_set_is_not_struck_once_more(tmp_path: Path) -> None:
+def test_a_transducer_disabled_during_its_set_is_not_struck_again(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "retire", {"position": "C", "note": "coil is hot"})]
     assert run(two_hours(), tmp_path, rig=ordering_rig(tmp_path, orders))
     rows = sets_of(tmp_path, "C")
@@ -481,14 +479,14 @@ def test_a_transducer_retired_during_its_set_is_not_struck_once_more(tmp_path: P
     assert shots_of(tmp_path, "D", 1)[0].utc_ns - rows[1].due_utc_ns == 5 * STEP_NS
 
 
-def test_a_transducer_retired_after_its_shots_keeps_them(tmp_path: Path) -> None:
+def test_a_transducer_disabled_after_its_shots_keeps_them(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "retire", {"position": "B"})]
     assert run(only("BC", two_hours()), tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "done", "retired", "retired"]
     assert [row.state for row in sets_of(tmp_path, "C")] == ["done"] * 4
 
 
-def test_a_transducer_reinstated_during_a_set_begins_with_the_next_one(tmp_path: Path) -> None:
+def test_a_transducer_enabled_during_a_set_starts_with_the_next_one(tmp_path: Path) -> None:
     orders: list[Order] = [(0.4, "retire", {"position": "B"}), (IN_SET_1, "reinstate", {"position": "B"})]
     assert run(only("BC", two_hours()), tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["retired", "retired", "done", "done"]
@@ -503,7 +501,7 @@ def struck(folder: Path) -> list[ShotKey]:
 
 
 @pytest.mark.slow
-def test_a_hold_during_a_set_strikes_no_more(tmp_path: Path) -> None:
+def test_a_pause_during_a_set_stops_the_strikes(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "hold", {"note": "door open"}), (1.9, "release", {})]
     settings = small_settings(schedule={"end_h": 2.5})
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
@@ -521,7 +519,7 @@ def test_a_hold_during_a_set_strikes_no_more(tmp_path: Path) -> None:
     assert [state for _, state, _ in answers(tmp_path)] == ["done", "done"]
 
 
-def test_a_hold_outlives_a_restart_and_ends_by_a_release(
+def test_a_pause_survives_a_restart_and_ends_by_resuming(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     settings = only("B", small_settings(schedule={"end_h": 3.0}))
@@ -550,8 +548,8 @@ def test_a_hold_outlives_a_restart_and_ends_by_a_release(
     assert describe_status(tmp_path, Settings())["held"] is None
 
 
-def test_sets_cut_short_by_holds_are_no_transducers_fault(tmp_path: Path) -> None:
-    """B has one shot in each of four sets: too few, but nobody let it strike."""
+def test_sets_cut_short_by_pauses_are_not_counted_against_a_transducer(tmp_path: Path) -> None:
+    """B has one shot in each of four sets: too few, but it was not struck."""
     orders: list[Order] = []
     for hour in (0.5, 1.0, 1.5, 2.0):
         orders += [(hour + 4 / 3600, "hold", {"note": "why"}), (hour + 0.4, "release", {})]
@@ -565,7 +563,7 @@ def test_sets_cut_short_by_holds_are_no_transducers_fault(tmp_path: Path) -> Non
 
 
 def lost_during(sets: range, position: str, times: int, error: type[Exception]) -> tuple[Disturb, list]:
-    """Strikes of one position that meet a dead connection, the first ``times`` of each set."""
+    """Let the first ``times`` strikes of a position in each set meet a lost connection."""
 
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         tried.append(key)
@@ -580,7 +578,7 @@ def lost_during(sets: range, position: str, times: int, error: type[Exception]) 
 FOUR_SHOTS = {"end_h": 2.5, "shots_per_set": 4}
 
 
-def test_three_lost_connections_running_give_a_set_up_and_the_next_one_is_taken(tmp_path: Path) -> None:
+def test_three_consecutive_lost_connections_end_a_set_and_the_next_is_taken(tmp_path: Path) -> None:
     disturb, tried = lost_during(range(1, 3), "C", 3, ConnectionLostError)
     assert run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=disturbed_rig(disturb))
     keys = [(key.position, key.shot_index, key.attempt) for key in tried if key.set_index == 1]
@@ -598,12 +596,12 @@ def test_three_lost_connections_running_give_a_set_up_and_the_next_one_is_taken(
     assert alarm.proof == {"set_index": 1, "error": "ConnectionLostError"}
     assert alarm.message == ("set 1 ended early: board 01A2B3C4 is gone at C2; the next set tries again")
     with open_catalogue(tmp_path) as catalogue:
-        told = [
+        alarm_events = [
             (event.kind, event.set_index)
             for event in catalogue.events_after(0, {"alarms"}, limit=None)
             if event.payload["kind"] == "rig_unavailable"
         ]
-    assert told == [("alarm_raised", 1), ("alarm_cleared", 3)]
+    assert alarm_events == [("alarm_raised", 1), ("alarm_cleared", 3)]
 
 
 def test_two_lost_connections_cost_two_shots(tmp_path: Path) -> None:
@@ -615,7 +613,7 @@ def test_two_lost_connections_cost_two_shots(tmp_path: Path) -> None:
     assert alarms_of(tmp_path) == {}
 
 
-def test_a_rig_that_is_gone_for_long_retires_nobody(tmp_path: Path) -> None:
+def test_a_long_loss_of_the_rig_disables_no_transducer(tmp_path: Path) -> None:
     disturb, _ = lost_during(range(1, 5), "B", 4, ConnectionLostError)
     settings = only("AB", small_settings(schedule={**FOUR_SHOTS, "end_h": 3.0}, quality=SILENT))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
@@ -671,7 +669,7 @@ def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(tmp_path: Path) ->
     assert (None, "rig_unavailable") not in alarms_of(tmp_path)
 
 
-def test_a_rig_that_cannot_do_what_is_asked_says_that_the_recorder_has_stopped(tmp_path: Path) -> None:
+def test_a_rig_that_cannot_meet_a_request_reports_that_the_recorder_stopped(tmp_path: Path) -> None:
     disturb, _ = lost_during(range(1), "C", 1, ConfigurationError)
     with pytest.raises(RigError, match="set 0 ended early"):
         run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=disturbed_rig(disturb))
@@ -683,7 +681,7 @@ def test_a_rig_that_cannot_do_what_is_asked_says_that_the_recorder_has_stopped(t
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_hold_does_not_say_that_the_rig_is_back(tmp_path: Path, late: bool) -> None:
+def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path: Path, late: bool) -> None:
     """Heard while the set is awaited, or when its first record is."""
     disturb, _ = lost_during(range(1, 2), "B", 4, ConnectionLostError)
     rig = ordering_rig(tmp_path, [(1.5, "hold", {"note": "why"})], disturb, late=late)

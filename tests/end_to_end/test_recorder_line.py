@@ -43,12 +43,12 @@ SHORT: dict[str, Any] = {
 
 
 def small_settings(**tables: Any) -> Settings:
-    """Settings of a test as short as one with a judged baseline can be; ``tables`` lie over them."""
+    """Return settings of the shortest test with an assessed baseline; ``tables`` override them."""
     return half_a_day(**{name: {**SHORT.get(name, {}), **tables.get(name, {})} for name in {*SHORT, *tables}})
 
 
 def pair_settings(**tables: Any) -> Settings:
-    """With a probe and one transducer: half the time, for what is run again and again."""
+    """Return settings with a probe and one transducer: half the time, for repeated runs."""
     settings = small_settings(**tables)
     return settings.model_copy(update={"positions": {name: settings.positions[name] for name in "AB"}})
 
@@ -62,7 +62,7 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def pair(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
-    """Rows of a test of a probe and one transducer that nobody disturbed."""
+    """Return the rows of an undisturbed test of a probe and one transducer."""
     folder = tmp_path_factory.mktemp("pair")
     assert run(pair_settings(), folder)
     return rows_of(folder)
@@ -75,7 +75,7 @@ def test_the_forecast_is_the_folder_s_size(finished: Path) -> None:
     assert SETS * built_set_bytes(settings) == pytest.approx(files, rel=0.05)
     # A record's pretrigger samples may take a cell more.
     assert tile_bytes(settings, SETS) == pytest.approx(n_bytes(finished), rel=0.01)
-    # The empty tables, 0.3 MB, weigh more beside ten records a set than in a test of months.
+    # The empty tables, 0.3 MB, weigh more next to ten records per set than in a test of months.
     catalogue = (finished / FILE_NAME).stat().st_size
     assert pytest.approx(catalogue, abs=0.4e6) == CATALOGUE_BYTES_A_RECORD * SETS * 10
 
@@ -103,7 +103,7 @@ def test_strikes_come_at_the_due_time_and_four_seconds_apart(finished: Path) -> 
         assert times[name] == [due_ns + (3 * number + k) * step_ns for k in range(3)]
 
 
-def test_the_catalogue_says_what_the_files_hold(finished: Path) -> None:
+def test_the_catalogue_matches_the_files(finished: Path) -> None:
     """Features computed again from the file alone are those of the catalogue, to the last bit."""
     stored = {row.sequence: row for row in rows_of(finished)["shot_features"]}
     record = read_set(set_files(finished)[7])
@@ -116,7 +116,7 @@ def test_the_catalogue_says_what_the_files_hold(finished: Path) -> None:
         }
 
 
-def test_a_file_holds_what_the_catalogue_says_of_its_set(finished: Path) -> None:
+def test_a_file_matches_the_catalogue_rows_of_its_set(finished: Path) -> None:
     rows = rows_of(finished)
     with h5py.File(set_files(finished)[7]) as file:
         entry = file["entry"]
@@ -159,25 +159,25 @@ def test_a_baseline_is_frozen_once_and_its_sets_get_their_distances(finished: Pa
     assert {row.n_sets for row in rows["baselines"]} == {BASELINE_SETS}
     of_d = [row for row in rows["verdicts"] if row.position == "D"]
     assert [row.set_index for row in of_d] == list(range(SETS))
-    baseline, judged = of_d[:BASELINE_SETS], of_d[BASELINE_SETS:]
+    baseline, assessed = of_d[:BASELINE_SETS], of_d[BASELINE_SETS:]
     assert all(row.in_baseline and row.outlier is None for row in baseline)
     # Squared distances of a sample from its own mean sum to (n - 1) p, exactly; 1e-9 is rounding.
     total = sum(row.distance_squared for row in baseline)
     assert total == pytest.approx((BASELINE_SETS - 1) * 5, rel=1e-9)
-    assert all(row.outlier is not None and row.limit_f is not None for row in judged)
-    assert all(sum(row.contributions.values()) == pytest.approx(row.distance_squared) for row in judged)
+    assert all(row.outlier is not None and row.limit_f is not None for row in assessed)
+    assert all(sum(row.contributions.values()) == pytest.approx(row.distance_squared) for row in assessed)
 
 
-def test_the_twin_s_line_without_recorder_and_storage_judges_alike(finished: Path) -> None:
-    rows, judged = rows_of(finished), list(assessed_sets(small_settings(), "B"))
-    of_sets = [found.position_result.features[-1] for found in judged]
+def test_assessment_without_recorder_and_storage_gives_the_same_result(finished: Path) -> None:
+    rows, assessed = rows_of(finished), list(assessed_sets(small_settings(), "B"))
+    of_sets = [found.position_result.features[-1] for found in assessed]
     stored = [row for row in rows["set_features"] if row.position == "B"]
     names = {"id": None, "sequence": None}
     assert [replace(row, **names) for row in of_sets] == [replace(row, **names) for row in stored]
-    assessments = {row.set_index: row for found in judged for row in found.position_result.assessments}
-    told = [row for row in rows["verdicts"] if row.position == "B"]
-    assert len(told) == SETS
-    for row in told:
+    assessments = {row.set_index: row for found in assessed for row in found.position_result.assessments}
+    stored_rows = [row for row in rows["verdicts"] if row.position == "B"]
+    assert len(stored_rows) == SETS
+    for row in stored_rows:
         ours = assessments[row.set_index]
         assert (ours.distance_squared, ours.outlier) == (row.distance_squared, row.outlier)
         assert (ours.limit_f, ours.outlier_paper) == (row.limit_f, row.outlier_paper)
@@ -206,7 +206,7 @@ def test_another_seed_gives_other_numbers(pair: dict[str, Any], tmp_path: Path) 
     assert all(a.tof_pp_s != b.tof_pp_s for a, b in zip(ours, other, strict=False))
 
 
-def test_what_disturbed_a_shot_is_stored_with_it_and_forecast(tmp_path: Path) -> None:
+def test_disturbances_of_a_shot_are_stored_with_it_and_forecast(tmp_path: Path) -> None:
     settings = pair_settings(twin={"nuisance": "plant"}, schedule={"end_h": 1.0})
     assert run(settings, tmp_path)
     sizes = [path.stat().st_size for path in (tmp_path / "sets").iterdir()]
@@ -307,8 +307,8 @@ def test_a_kill_at_any_boundary_of_a_set_changes_no_row(
         with pytest.raises(_KilledError):
             run(pair_settings(), tmp_path)
     if boundary == "before the file":
-        told = {row.set_index for row in rows_of(tmp_path)["sets"]}
-        assert killed_at not in told, "nothing may be said of a set whose file is not durable"
+        reported = {row.set_index for row in rows_of(tmp_path)["sets"]}
+        assert killed_at not in reported, "nothing may be said of a set whose file is not durable"
     assert run(pair_settings(), tmp_path)
     assert rows_of(tmp_path) == pair
     assert sorted(set_files(tmp_path)) == list(range(SETS))
@@ -416,7 +416,7 @@ def test_a_rig_that_can_never_work_stops_the_test_with_what_was_taken(tmp_path: 
     assert states == {"A": "done", "B": "done", "C": "partial", "D": "missed"}
 
 
-def test_a_hole_retires_its_transducer_and_the_others_go_on(tmp_path: Path) -> None:
+def test_a_hole_disables_its_transducer_and_the_others_continue(tmp_path: Path) -> None:
     thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 3.0}}
     assert run(small_settings(twin={"thinning": thinning}, schedule={"end_h": 5.0}), tmp_path)
     with open_catalogue(tmp_path) as catalogue:
@@ -477,7 +477,7 @@ class _LateClock:
         return self._clock.wait_until(utc_ns - self._late_ns, idle)
 
 
-def test_sets_that_fell_due_while_nobody_recorded_get_gap_rows_with_the_cause(tmp_path: Path) -> None:
+def test_sets_due_without_a_recorder_get_gap_rows_with_the_cause(tmp_path: Path) -> None:
     assert run(small_settings(schedule={"end_h": 1.0}), tmp_path)
 
     @contextmanager
@@ -523,7 +523,7 @@ def _answer(folder: Path, command_id: int) -> tuple[str, str]:
     return row.state, row.result
 
 
-def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
+def test_commands_are_executed_or_rejected_with_the_reason(tmp_path: Path) -> None:
     thinning = {"B": {"onset_h": 0.0, "reference_h": 1.0, "depth_fraction": 0.5, "hole_h": 1.0}}
     settings = pair_settings(twin={"thinning": thinning}, schedule={"end_h": 3.0})
     assert run(settings, tmp_path)
@@ -557,7 +557,7 @@ def test_orders_are_obeyed_or_refused_with_the_reason(tmp_path: Path) -> None:
     )
 
 
-def test_a_short_baseline_gives_no_limit_and_says_why(tmp_path: Path) -> None:
+def test_a_short_baseline_gives_no_limit_and_its_reason(tmp_path: Path) -> None:
     assert run(pair_settings(baseline={"hours": 3.0}, schedule={"end_h": 3.5}), tmp_path)
     with open_catalogue(tmp_path) as catalogue:
         baseline = catalogue.baseline("B")

@@ -65,7 +65,7 @@ def made(
 
 
 def with_two_solid_depths(item: Item) -> Item:
-    """A depth of the solid plate takes a second and more: only those that the paper prints."""
+    """Compute only the depths that the paper prints: one depth of the solid plate takes over a second."""
     jobs = {
         name: replace(job, arguments=(*job.arguments[:3], (0.0, 0.8))) if name.startswith("solid") else job
         for name, job in item.jobs.items()
@@ -75,7 +75,7 @@ def with_two_solid_depths(item: Item) -> Item:
 
 @pytest.fixture(scope="module")
 def whole(small: Path, executor: Executor, tmp_path_factory: pytest.TempPathFactory):
-    """Everything, from the small test."""
+    """Return everything from the small test."""
     out = tmp_path_factory.mktemp("reproduction") / "out"
     result, finished = made(out, [with_two_solid_depths(item) for item in ITEMS], executor, small)
     assert finished
@@ -84,14 +84,14 @@ def whole(small: Path, executor: Executor, tmp_path_factory: pytest.TempPathFact
 
 @pytest.fixture
 def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Make figures, and no picture of them: a picture takes a third of a second, and `whole` has them all."""
+    """Write figures without drawing them: one image takes a third of a second, and `whole` draws all."""
     monkeypatch.setattr("daq_service.cli.reproduce.run.rendered", lambda figure: {"png": b"", "svg": b""})
 
 
 def assert_same_as_before(out: Path, result: dict[str, Any], whole: tuple[Path, dict[str, Any]]) -> int:
-    """Compare every file, byte by byte, and every row with the paper; the number of files."""
+    """Compare every file byte by byte and every row with the paper; return the number of files."""
     old, before = whole
-    files = [name for told in result["items"].values() for name in told["files"]]
+    files = [name for item in result["items"].values() for name in item["files"]]
     for name in files:
         assert (out / name).read_bytes() == (old / name).read_bytes(), name
     rows = {(row["item"], row["quantity"]): row for row in before["comparison"]}
@@ -114,7 +114,7 @@ def ours(result: dict[str, Any], item: str, quantity: str) -> float | None:
 def test_every_figure_has_png_svg_and_csv_and_stands_in_the_report(whole):
     out, result = whole
     report = (out / "report.html").read_text(encoding="utf-8")
-    drawn = {name for name, told in result["items"].items() if told["not_available"] is None}
+    drawn = {name for name, entry in result["items"].items() if entry["not_available"] is None}
     assert set(result["items"]) == {item.name for item in ITEMS}
     assert drawn == set(result["items"]), "a test of 12 h has everything that a figure needs"
     for item in ITEMS:
@@ -131,7 +131,7 @@ def test_every_figure_has_png_svg_and_csv_and_stands_in_the_report(whole):
     assert not re.search(r"(src|href)='(http|/)", report), "it opens from disk, by itself"
 
 
-def test_every_slip_is_told_with_a_finding(whole):
+def test_every_slip_is_listed_with_a_finding(whole):
     out, result = whole
     report = (out / "report.html").read_text(encoding="utf-8")
     assert [slip["where"] for slip in result["slips"]] == [slip.where for slip in SLIPS]
@@ -141,7 +141,7 @@ def test_every_slip_is_told_with_a_finding(whole):
         assert slip["finding"].split(";")[0].replace("'", "&#x27;").replace("<", "&lt;") in report
 
 
-def test_every_value_of_the_paper_has_a_row_and_a_short_test_says_what_it_lacks(whole):
+def test_every_value_of_the_paper_has_a_row_and_a_short_test_lists_missing_ones(whole):
     _, result = whole
     rows = {(row["item"], row["quantity"]): row for row in result["comparison"]}
     assert list(rows) == [
@@ -184,8 +184,8 @@ def test_csv_holds_the_catalogues_numbers(whole, small: Path):
         table = columns(out / "fig14.csv")
         rows = [k for k, name in enumerate(table["position"]) if name == "B"]
         assert [float(table["distance_squared"][k]) for k in rows] == assessments["distance_squared"]
-        told = [{"": None, "0": False, "1": True}[table["outlier"][k]] for k in rows]
-        assert told == assessments["outlier"]
+        outliers = [{"": None, "0": False, "1": True}[table["outlier"][k]] for k in rows]
+        assert outliers == assessments["outlier"]
 
 
 def test_the_equations_computed_again_agree(whole):
@@ -219,7 +219,7 @@ def test_waveforms_are_the_means_of_the_stored_records(whole, small: Path):
     assert float(table["time_s"][0]) == pytest.approx(start_s, abs=1e-9)
 
 
-def test_the_models_say_what_the_paper_s_figures_ask(whole):
+def test_the_models_match_the_figures_of_the_paper(whole):
     _, result = whole
     assert ours(result, "fig5", "elements") == printed("fig5", "elements")
     assert ours(result, "fig5", "contact_element") == pytest.approx(0.1, rel=1e-9)
@@ -272,7 +272,9 @@ def test_the_tally_counts_every_value_once(whole):
         ("fig15", "core", "shipped", "no independent agreement"),
     ],
 )
-def test_a_cause_is_that_of_whose_measurements_they_are(item: str, quantity: str, origin: str, words: str):
+def test_a_deviation_is_attributed_to_the_origin_of_its_measurements(
+    item: str, quantity: str, origin: str, words: str
+):
     assert words in cause_of(of_paper(item, quantity), origin=origin)
 
 
@@ -280,13 +282,13 @@ def test_slips_alone_take_the_limits_of_the_test_they_are_given(
     small: Path, executor: Executor, tmp_path: Path
 ):
     result, _ = made(tmp_path / "out", chosen_items("slips"), executor, small)
-    (told,) = [slip["finding"] for slip in result["slips"] if slip["where"] == "figure 14"]
+    (finding,) = [slip["finding"] for slip in result["slips"] if slip["where"] == "figure 14"]
     with open_catalogue(small) as catalogue:
         for position in "BCD":
-            assert f"{position}: {catalogue.baseline(position).limit_paper:.1f} (" in told
+            assert f"{position}: {catalogue.baseline(position).limit_paper:.1f} (" in finding
     without, _ = made(tmp_path / "without", chosen_items("slips"), executor)
-    (told,) = [slip["finding"] for slip in without["slips"] if slip["where"] == "figure 14"]
-    assert told == "not available: no test was run or read"
+    (finding,) = [slip["finding"] for slip in without["slips"] if slip["where"] == "figure 14"]
+    assert finding == "not available: no test was run or read"
     assert without["data_dir"] is None
 
 
@@ -300,7 +302,7 @@ def test_every_deviation_has_a_cause(whole):
     assert silent == []
 
 
-def test_only_makes_what_it_names_without_a_test_and_the_same_bytes_again(
+def test_option_only_makes_the_named_files_without_a_test_and_reproducibly(
     whole, executor: Executor, tmp_path: Path
 ):
     result, finished = made(tmp_path / "out", chosen_items("table2,fig10"), executor)
@@ -347,7 +349,7 @@ def test_other_positions_and_no_probe(executor: Executor, tmp_path: Path):
 
 
 @pytest.mark.usefixtures("undrawn")
-def test_a_damaged_set_is_left_out_and_named(small: Path, executor: Executor, tmp_path: Path):
+def test_a_corrupt_set_is_left_out_and_named(small: Path, executor: Executor, tmp_path: Path):
     data = tmp_path / "data"
     shutil.copytree(small, data)
     set_files(data)[0].write_bytes(b"not HDF5")
@@ -357,7 +359,7 @@ def test_a_damaged_set_is_left_out_and_named(small: Path, executor: Executor, tm
     report = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "set 0 is left out of the waveforms" in report
     assert "set 1 is left out of the waveforms" in report
-    # Without any waveform the other figures stand.
+    # Without any waveform the other figures remain.
     shutil.rmtree(data / "sets")
     result, _ = made(tmp_path / "out", chosen_items("fig7,fig8"), executor, data)
     assert "no readable waveform" in result["items"]["fig7"]["not_available"]
@@ -495,7 +497,7 @@ def test_the_command_runs_the_test_and_goes_on_in_its_own_folder(
         ({"data_dir": Path("nowhere"), "only": "fig8"}, StorageError, "holds no test"),
     ],
 )
-def test_the_command_refuses_what_cannot_be(
+def test_the_command_refuses_impossible_parameters(
     options: dict[str, Any], kind: type[Exception], words: str, tmp_path: Path
 ):
     given = {"data_dir": None, "only": None, "seed": None, "as_json": False, **options}

@@ -1,4 +1,4 @@
-"""A rig that is busy or gone when a recorder starts: a new test says so, one that has begun waits."""
+"""A rig that is busy or gone when a recorder starts: a new test reports it, a started test waits."""
 
 import threading
 from collections.abc import Iterator
@@ -53,7 +53,7 @@ record = partial(run, waits_for_rig_s=(0.01,))
     ("refusal", "kind", "code"),
     [(GONE, RigError, 3), (BUSY, BusyError, 5), (UNKNOWN, RigError, 3), (WRONG, RigError, 3)],
 )
-def test_a_test_that_has_not_begun_says_so_and_ends(
+def test_a_test_that_has_not_started_reports_the_missing_rig_and_ends(
     tmp_path: Path, refusal: Exception, kind: type[RigError], code: int
 ) -> None:
     with pytest.raises(kind, match="cannot be opened") as failure:
@@ -64,7 +64,7 @@ def test_a_test_that_has_not_begun_says_so_and_ends(
 
 
 @pytest.mark.parametrize("refusal", [GONE, BUSY, UNKNOWN])
-def test_a_test_that_has_begun_waits_for_its_rig(tmp_path: Path, refusal: Exception) -> None:
+def test_a_test_that_has_started_waits_for_its_rig(tmp_path: Path, refusal: Exception) -> None:
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     doing = []
 
@@ -82,14 +82,14 @@ def test_a_test_that_has_begun_waits_for_its_rig(tmp_path: Path, refusal: Except
     assert set(doing) <= waits, "the heartbeat goes on while it waits"
 
 
-def test_what_waiting_cannot_mend_ends_a_test_that_has_begun_too(tmp_path: Path) -> None:
+def test_an_error_that_waiting_cannot_fix_ends_a_started_test_too(tmp_path: Path) -> None:
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     with pytest.raises(RigError, match="range_v is 3 V"):
         record(small_settings(schedule={"end_h": END_H}), tmp_path, rig=Unwilling(GONE, WRONG))
     assert record(small_settings(schedule={"end_h": END_H}), tmp_path), "the schedule is kept"
 
 
-def test_whatever_the_rig_says_is_waited_for_where_nobody_stands_beside_it(tmp_path: Path) -> None:
+def test_any_rig_error_is_waited_for_when_unattended(tmp_path: Path) -> None:
     """The supervisor started the recorder again, in the night."""
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     again = "was killed by signal 9"
@@ -99,7 +99,7 @@ def test_whatever_the_rig_says_is_waited_for_where_nobody_stands_beside_it(tmp_p
 
 
 def test_each_missed_set_has_the_cause_of_its_own_time(tmp_path: Path) -> None:
-    """Nobody recorded, then a recorder waited for its rig: real time, on a clock that nobody waits for."""
+    """A gap, then a recorder that waits for its rig: real time on a simulated clock."""
     clock = Time()
     began_s, stop, again = clock.s(), Stop(clock), Stop(clock)
 
@@ -124,7 +124,7 @@ def test_each_missed_set_has_the_cause_of_its_own_time(tmp_path: Path) -> None:
     assert causes == {0: None, 1: None, 2: stopped, 3: waited, 4: None, 5: None}, "4 is struck late"
 
 
-def test_waiting_ends_when_told_to_stop(tmp_path: Path) -> None:
+def test_waiting_ends_on_a_stop_request(tmp_path: Path) -> None:
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     stop = threading.Event()
     rig = Unwilling(*[GONE] * 1000, on_refusal=stop.set)

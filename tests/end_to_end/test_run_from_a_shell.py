@@ -23,8 +23,8 @@ def sets(folder: Path) -> int:
     return len(list((folder / "sets").iterdir()))
 
 
-def test_a_test_outlives_its_terminal_where_that_is_wanted(tmp_path: Path) -> None:
-    """As `nohup` starts it: its terminal hangs up, and whoever sits there presses Ctrl-C before."""
+def test_a_test_survives_its_terminal_on_request(tmp_path: Path) -> None:
+    """As `nohup` starts it: its terminal hangs up after a Ctrl-C."""
     ignoring = ["sh", "-c", 'trap "" HUP INT; exec "$@"', "sh"]
     with subprocess.Popen(
         [*ignoring, *arguments("run", "--no-web", folder=tmp_path / "data")],

@@ -79,18 +79,18 @@ def setup(
 
 def report(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
     assert done.returncode == 0, done.stderr
-    told: dict[str, Any] = json.loads(done.stdout)
-    return told
+    content: dict[str, Any] = json.loads(done.stdout)
+    return content
 
 
 def test_flags_lead_to_a_file_whose_first_set_is_good(
     doubles: RunningDoubles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = tmp_path / "lab.toml"
-    told = report(setup(file, *WIRED, "--strike", "--json"))
-    assert told["struck"] == ["B", "C"]
-    assert told["proposal"]["taken"]
-    assert told["proposal"]["troubles"] == {}
+    answer = report(setup(file, *WIRED, "--strike", "--json"))
+    assert answer["struck"] == ["B", "C"]
+    assert answer["proposal"]["taken"]
+    assert answer["proposal"]["troubles"] == {}
     assert coil_pulses_s(doubles.control.record()) == [pytest.approx(PULSE_S, abs=1e-8)] * 2
     assert solimon_here("check-config", str(file), env={}).returncode == 0
     boards = load_settings(file).rig.daqmx
@@ -118,17 +118,19 @@ def test_flags_lead_to_a_file_whose_first_set_is_good(
 def test_boards_of_another_computer_are_set_up_alike(running: RunningDoubles, tmp_path: Path) -> None:
     file = tmp_path / "lab.toml"
     there = ("--transport", "grpc", "--grpc-address", running.grpc)
-    told = report(setup(file, *WIRED[:2], *there, "--strike", "--json"))
-    assert (told["struck"], told["proposal"]["troubles"]) == (["B"], {})
+    answer = report(setup(file, *WIRED[:2], *there, "--strike", "--json"))
+    assert (answer["struck"], answer["proposal"]["troubles"]) == (["B"], {})
     boards = load_settings(file).rig.daqmx
     assert boards is not None
     assert (boards.transport, boards.grpc_address) == ("grpc", running.grpc)
 
 
-def test_without_leave_nothing_strikes_and_the_file_says_so(doubles: RunningDoubles, tmp_path: Path) -> None:
+def test_without_permission_nothing_strikes_and_the_file_states_it(
+    doubles: RunningDoubles, tmp_path: Path
+) -> None:
     file = tmp_path / "lab.toml"
-    told = report(setup(file, *WIRED, "--json"))
-    assert (told["struck"], told["proposal"]) == ([], None)
+    answer = report(setup(file, *WIRED, "--json"))
+    assert (answer["struck"], answer["proposal"]) == ([], None)
     record = doubles.control.record()
     assert coil_pulses_s(record) == []
     assert not any(event["level"] for event in record["lines"])
@@ -136,31 +138,31 @@ def test_without_leave_nothing_strikes_and_the_file_says_so(doubles: RunningDoub
     assert "Nothing was struck" in file.read_text(encoding="utf-8")
     boards = load_settings(file).rig.daqmx
     assert boards is not None
-    # Whatever the coil does: a third of the fall from 5 mm less the pre-trigger.
+    # For any coil: a third of the fall from 5 mm less the pre-trigger.
     assert (boards.trigger_level_v, boards.holdoff_s) == (0.25, 0.0106)
 
 
-def test_answers_at_a_terminal_are_asked_for_until_they_are_understood(
+def test_prompts_repeat_until_the_answer_is_valid(
     doubles: RunningDoubles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     answers = ["", "0", str(PULSE_S), "B", "", "ai9", "", "", "", "strike", "", "", "yes", "", "", ""]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
     file = tmp_path / "lab.toml"
     done = solimon_here("setup", str(file), "--json", "--no-web", env={})
-    told = report(done)
+    answer = report(done)
     assert "0 is not within 0.001 .. 0.5" in done.stderr
     assert "'ai9' is none of ai0, ai1" in done.stderr
-    assert (told["struck"], told["proposal"]["taken"]) == (["B"], True)
-    assert told["transducers"]["B"]["output_terminal"] == "PFI12"
+    assert (answer["struck"], answer["proposal"]["taken"]) == (["B"], True)
+    assert answer["transducers"]["B"]["output_terminal"] == "PFI12"
     assert len(coil_pulses_s(doubles.control.record())) == 1
-    assert load_settings(file).rig.daqmx.holdoff_s == told["proposal"]["holdoff_s"]
+    assert load_settings(file).rig.daqmx.holdoff_s == answer["proposal"]["holdoff_s"]
 
 
 def test_a_person_s_own_values_take_the_place_of_those_proposed(
     doubles: RunningDoubles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     wiring = ["", str(PULSE_S), "B", "", "", "", "", "strike", "go on", ""]
-    # A holdoff beyond the fall is refused, and all is asked once more.
+    # A holdoff beyond the fall is refused, and all prompts repeat.
     own = ["no", "10", "0.4", "", "", "0.5", "10", "0.4", "", "2e-4", "0.012"]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join([*wiring, *own, "", "", ""]) + "\n"))
     file = tmp_path / "lab.toml"
@@ -184,21 +186,19 @@ def test_answers_that_end_write_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_recorder_s_folder_is_not_struck(doubles: RunningDoubles, tmp_path: Path) -> None:
+def test_strikes_are_refused_in_the_folder_of_a_recorder(doubles: RunningDoubles, tmp_path: Path) -> None:
     usual, other = tmp_path / "solimon-data", tmp_path / "other"
-    for folder, told in ((usual, ()), (other, ("--data-dir", str(other)))):
+    for folder, options in ((usual, ()), (other, ("--data-dir", str(other)))):
         prepare_data_folder(folder)
         with own_data_folder(folder):
-            done = setup(tmp_path / "lab.toml", *WIRED, "--strike", *told)
+            done = setup(tmp_path / "lab.toml", *WIRED, "--strike", *options)
         assert done.returncode == 5
         assert f"setup is refused: another recorder owns {folder}" in done.stderr
     assert doubles.control.record()["calls"] == [], "not one call reached the driver"
     assert not (tmp_path / "lab.toml").exists()
 
 
-def test_a_recorder_that_started_meanwhile_is_not_struck_under(
-    doubles: RunningDoubles, tmp_path: Path
-) -> None:
+def test_strikes_stop_when_a_recorder_has_started_meanwhile(doubles: RunningDoubles, tmp_path: Path) -> None:
     bench = look_around(Dialogue(), tmp_path, "library", "")
     try:
         bench.wire("B", wiring_of(bench.boards, "01E16086/ai0/ctr0"))
@@ -235,7 +235,7 @@ def test_a_wiring_that_is_not_there_is_refused(
     assert refusal in done.stderr
 
 
-def test_a_board_that_somebody_else_holds_is_told(doubles: RunningDoubles, tmp_path: Path) -> None:
+def test_a_board_reserved_by_another_process_is_reported(doubles: RunningDoubles, tmp_path: Path) -> None:
     doubles.control.occupy("PXI1Slot3/ai", "LabVIEW")
     try:
         done = setup(tmp_path / "lab.toml", *WIRED, "--strike")
@@ -245,7 +245,7 @@ def test_a_board_that_somebody_else_holds_is_told(doubles: RunningDoubles, tmp_p
     assert "LabVIEW" in done.stderr
 
 
-def test_without_a_board_that_triggers_it_says_what_was_looked_for(tmp_path: Path, monkeypatch) -> None:
+def test_a_missing_trigger_board_is_reported_with_the_search(tmp_path: Path, monkeypatch) -> None:
     with running_brain(replace(QUICK, boards=(SLOW,), transducers={})) as slow:
         meet(slow, monkeypatch)
         done = setup(tmp_path / "lab.toml", *WIRED)

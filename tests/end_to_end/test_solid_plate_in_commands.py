@@ -49,7 +49,9 @@ def test_a_position_may_have_a_solid_of_its_own(tmp_path: Path) -> None:
         (COARSE.replace("degree = 3", "degree = 2"), "degree"),
     ],
 )
-def test_what_the_solid_does_not_know_is_refused_with_a_remedy(tmp_path: Path, text: str, words: str) -> None:
+def test_parameters_that_the_solid_does_not_support_are_refused_with_a_remedy(
+    tmp_path: Path, text: str, words: str
+) -> None:
     done = simulate(tmp_path, text, "--depth", "0.4")
     assert done.returncode != 0
     assert words in done.stderr

@@ -37,7 +37,7 @@ def instruments(tmp_path: Path) -> Iterator[SerialInstruments]:
 def settings_with(
     instruments: SerialInstruments, sets: int, *, off_at_end: bool = True, **tables: Mapping[str, Any]
 ) -> Settings:
-    """A set a second on the twin, with the real supply's driver beside it."""
+    """Return settings of a set per second on the twin, with the driver of the real supply."""
     line = {"reply_timeout_s": 60.0}  # the doubles answer at once, on a busy machine later
     return small_settings(
         clock={"kind": "wall"},
@@ -73,10 +73,10 @@ def run(
     stop_after: int | None = None,
     clock: SteppedClock | None = None,
 ) -> bool:
-    """Record to the end; after the n-th set an order is given or something is done to the instruments."""
+    """Record to the end; after the n-th set give a command or disturb the instruments."""
     prepare_data_folder(folder)
 
-    def tell(event: str, **values: Any) -> None:
+    def notify(event: str, **values: Any) -> None:
         if event != "progress":
             return
         if (orders or {}).get(values["done"]):
@@ -96,7 +96,7 @@ def run(
             folder,
             open_rig,
             stop=stop,
-            report=tell,
+            tell=notify,
             listen_every_s=0.0,
             wall_clock=(clock or SteppedClock()).start,
         )
@@ -152,11 +152,11 @@ def test_a_restart_goes_on_counting_and_switches_nothing(
     after = environment(folder)[-1]
     assert after.supply_state == "on"
     assert after.charge_coulomb > before.charge_coulomb > 0.0
-    # Between the two runs nobody measured.
+    # Nothing was measured between the two runs.
     assert after.unknown_s > before.unknown_s
 
 
-def test_a_hole_opens_the_interlock_and_only_a_person_closes_it(
+def test_a_hole_trips_the_interlock_and_only_a_person_resets_it(
     instruments: SerialInstruments, tmp_path: Path
 ) -> None:
     folder = tmp_path / "data"
@@ -194,7 +194,7 @@ def test_an_open_interlock_outlives_a_restart(instruments: SerialInstruments, tm
     )
     assert not run(settings, folder, orders={1: ("supply_on", {})}, stop_after=4, clock=clock)
     assert switchings(instruments) == [(True, "command"), (False, "command")]
-    # Somebody presses the key at the supply while no recorder runs.
+    # The key at the supply is pressed while no recorder runs.
     instruments.supply_link.do(lambda: instruments.supply.press_output_key(True))
     assert run(settings, folder, clock=clock)
     assert [on for on, _ in switchings(instruments)] == [True, False, True, False]
@@ -227,7 +227,7 @@ def test_a_climate_probe_that_dies_is_an_alarm(instruments: SerialInstruments, t
     assert environment(folder)[-1].climate_quality == "lost"
 
 
-def test_orders_beyond_the_caps_are_refused(instruments: SerialInstruments, tmp_path: Path) -> None:
+def test_commands_above_the_caps_are_rejected(instruments: SerialInstruments, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     assert run(settings_with(instruments, 3), folder, orders={1: ("supply_on", {"voltage_v": 50.0})})
     assert switchings(instruments) == []

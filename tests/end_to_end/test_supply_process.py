@@ -1,4 +1,4 @@
-"""The drive in a process of its own: whatever ends around it, the supply is never left on unwatched."""
+"""The supply process: when any other process ends, the supply is never left on unwatched."""
 
 import os
 import signal
@@ -66,7 +66,7 @@ def line_of(instruments: SerialInstruments, reply_timeout_s: float = 5.0) -> dic
 def settings_of(
     instruments: SerialInstruments, *, unwatched_s: float, off_at_end: bool, sets: int, **supply: Any
 ) -> Settings:
-    """A set a second on the twin, beside the supply."""
+    """Return settings of a set per second on the twin, with the supply."""
     return small_settings(
         clock={"kind": "wall"},
         schedule={
@@ -90,7 +90,7 @@ def settings_of(
 
 
 def mixed_settings_of(instruments: SerialInstruments, *, unwatched_s: float) -> Settings:
-    """Instruments of another package at B, and a supply that speaks text as the drive of a mixed rig."""
+    """Return instruments of another package at B, and a text supply of a mixed rig."""
     plain = settings_of(instruments, unwatched_s=unwatched_s, off_at_end=True, sets=600)
     return with_defaults(
         Settings(
@@ -114,7 +114,7 @@ def mixed_settings_of(instruments: SerialInstruments, *, unwatched_s: float) -> 
 
 @contextmanager
 def without_supply(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
-    """The twin; the supply belongs to another process."""
+    """Open the twin without the supply, which belongs to another process."""
     rig = settings.rig.model_copy(update={"supply": None})
     with open_rig(settings.model_copy(update={"rig": rig}), clock, epoch_utc_ns) as opened:
         yield opened
@@ -150,10 +150,10 @@ class Test:
         stop: threading.Event | None = None,
         wall_clock: Callable[[], Clock] | None = None,
     ) -> bool:
-        """Record to the end; something is done after the n-th set."""
+        """Record to the end; act after the n-th set."""
         prepare_data_folder(self.folder)
 
-        def tell(event: str, **values: Any) -> None:
+        def notify(event: str, **values: Any) -> None:
             if event == "progress":
                 (after or {}).get(values["done"], lambda: None)()
 
@@ -165,7 +165,7 @@ class Test:
                 self.folder,
                 rig,
                 stop=stop or threading.Event(),
-                report=tell,
+                tell=notify,
                 listen_every_s=0.0,
                 wall_clock=wall_clock or SteppedClock().start,
                 remote_drive=drive,
@@ -173,7 +173,7 @@ class Test:
 
     @contextmanager
     def recording(self, settings: Settings) -> Iterator[None]:
-        """Record in real time beside the test, until it stops that."""
+        """Record in real time next to the test, until the test stops it."""
         stop = threading.Event()
         settings = settings.model_copy(
             update={"schedule": settings.schedule.model_copy(update={"end_h": 600.0 * SECOND_H})}
@@ -190,7 +190,7 @@ class Test:
             ended(recorder, "the stop")
 
     def run_switched_on(self, settings: Settings) -> None:
-        """Record in real time until a person has switched the supply on and its charge is stored."""
+        """Record in real time until an operator has switched the supply on and its charge is stored."""
         with self.recording(settings):
             until(self.has_started, "the recorder")
             self.order("supply_on")
@@ -205,7 +205,7 @@ class Test:
             return {row.kind: row for row in catalogue.rows(AlarmRow)}
 
     def has_started(self) -> bool:
-        """The recorder listens: it has told of a first set."""
+        """Return whether the recorder has reported a first set."""
         try:
             with open_catalogue(self.folder) as catalogue:
                 return bool(catalogue.rows(SetRow, limit=1))
@@ -225,22 +225,22 @@ class Test:
         return [row.state for row in rows if row is not None]
 
     def drive(self) -> int:
-        """Process number of the drive that runs."""
+        """Return the id of the running supply process."""
         return int(lock_text(self.folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
     def drive_has_left(self) -> bool:
         return is_owned(self.folder, DRIVE_LOCK) is False
 
     def is_switched_off_unwatched(self) -> None:
-        """Wait for it, and look at what is told meanwhile."""
+        """Wait for the switch-off and check the status meanwhile."""
         until(lambda: not self.instruments.supply.on, "the unwatched supply is off")
         until(self.drive_has_left, "the process of the drive has left")
         assert self.switchings() == [True, False]
         now = read_supply_status(self.folder)
         assert now is not None
         assert (now.state, now.last, now.unwatched) == ("unknown", "off", True)
-        said = describe_status(self.folder, Settings())["supply"]["description"]
-        assert "tripped: no recorder was heard" in said
+        description = describe_status(self.folder, Settings())["supply"]["description"]
+        assert "tripped: no recorder was heard" in description
 
 
 @pytest.fixture
@@ -265,11 +265,11 @@ def test_the_end_switches_off_and_the_process_leaves_also_without_the_supply(tes
     assert test.alarms() == {}
 
 
-def test_a_supply_that_is_left_on_at_the_end_is_switched_off_when_nobody_comes_back(test: Test) -> None:
+def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(test: Test) -> None:
     settings = test.settings(unwatched_s=UNWATCHED_S, off_at_end=False)
     test.run_switched_on(settings)
     test.is_switched_off_unwatched()
-    # The next recorder tells it, and energises nothing.
+    # The next recorder reports it, and energizes nothing.
     with test.recording(settings):
         found = until(lambda: test.alarms() if "supply_unwatched" in test.alarms() else None, "the alarm")
         assert found["supply_unwatched"].state == found["interlock_tripped"].state == "unacknowledged"
@@ -283,7 +283,9 @@ def test_a_supply_that_is_left_on_at_the_end_is_switched_off_when_nobody_comes_b
 @pytest.mark.parametrize(
     "error", [pytest.param(RigError, marks=pytest.mark.slow), StorageError], ids=["exit 3", "exit 4"]
 )
-def test_after_a_recorder_that_ends_for_good_it_is_switched_off(test: Test, error: type[Exception]) -> None:
+def test_the_output_is_switched_off_after_the_final_end_of_a_recorder(
+    test: Test, error: type[Exception]
+) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         if test.answers() == ["done"] and test.instruments.supply.on:
             raise error("it ends")
@@ -305,7 +307,7 @@ def test_after_a_recorder_that_ends_for_good_it_is_switched_off(test: Test, erro
     test.is_switched_off_unwatched()
 
 
-def test_the_drive_that_is_killed_is_unknown_then_another_one_reads_and_energises_nothing(test: Test) -> None:
+def test_a_killed_supply_process_is_unknown_and_its_successor_energizes_nothing(test: Test) -> None:
     settings = test.settings(off_at_end=False)
     with test.recording(settings):
         until(lambda: is_owned(test.folder, DRIVE_LOCK), "the drive")
@@ -326,7 +328,7 @@ def test_the_drive_that_is_killed_is_unknown_then_another_one_reads_and_energise
 
 
 @pytest.mark.parametrize("state", [pytest.param("on", marks=pytest.mark.slow), "unreadable"])
-def test_a_drive_that_is_killed_after_the_recorder_s_end_is_started_again_and_switches_off(
+def test_a_supply_process_killed_after_the_recorder_is_restarted_and_switches_off(
     test: Test, state: str
 ) -> None:
     test.run_switched_on(test.settings(off_at_end=False))
@@ -359,7 +361,7 @@ def test_a_drive_that_is_killed_after_the_recorder_s_end_is_started_again_and_sw
 
 @contextmanager
 def started(test: Test, word: str, settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
-    """``solimon record`` or ``run`` on the test's folder, until a person's order has switched it on."""
+    """Run ``solimon record`` or ``run`` on the folder until an operator has switched the supply on."""
     prepare_data_folder(test.folder)
     config = write_configuration(settings, test.folder)
     command = [sys.executable, "-m", "daq_service.cli", word, str(config), "--data-dir", str(test.folder)]
@@ -389,7 +391,7 @@ def recorder_of(test: Test) -> int:
     ],
     ids=["recorder alone", "supervisor", "supervisor and recorder"],
 )
-def test_after_a_kill_it_is_switched_off_when_nobody_is_back(
+def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(
     test: Test, word: str, killed: list[str]
 ) -> None:
     settings = test.settings(unwatched_s=UNWATCHED_S, sets=600)
@@ -404,7 +406,7 @@ def test_after_a_kill_it_is_switched_off_when_nobody_is_back(
 
 @pytest.fixture
 def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Another package's instruments, for this process and those that it starts."""
+    """Offer the instruments of another package to this process and its children."""
     offer(monkeypatch, tmp_path / "site", OFFERED)
     paths = [str(tmp_path / "site"), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
@@ -412,7 +414,7 @@ def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("offered")
-def test_the_drive_of_a_mixed_rig_is_switched_off_after_a_kill(test: Test) -> None:
+def test_the_supply_of_a_mixed_rig_is_switched_off_after_a_kill(test: Test) -> None:
     settings = mixed_settings_of(test.instruments, unwatched_s=UNWATCHED_S)
     with started(test, "record", settings) as process:
         until(test.has_charge, "a set with its charge")
@@ -438,7 +440,7 @@ def test_a_recorder_that_its_supervisor_starts_again_goes_on(test: Test) -> None
     assert test.switchings() == [True, False], "off at the end"
 
 
-def test_a_drive_of_its_own_is_the_only_one_and_switches_off_when_it_is_told_to_end(test: Test) -> None:
+def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test: Test) -> None:
     prepare_data_folder(test.folder)
     config = write_configuration(test.settings(), test.folder)
     command = [sys.executable, "-m", "daq_service.cli", "drive", str(config), "--data-dir", str(test.folder)]
@@ -470,7 +472,7 @@ def test_a_drive_of_its_own_is_the_only_one_and_switches_off_when_it_is_told_to_
 
 @contextmanager
 def energised(test: Test, **supply: Any) -> Iterator[None]:
-    """A recorder in real time whose supply a person has switched on."""
+    """Yield a recorder in real time whose supply an operator has switched on."""
     with test.recording(test.settings(**supply)):
         until(test.has_started, "the recorder")
         test.order("supply_on")
@@ -550,7 +552,7 @@ def test_a_disk_that_hangs_does_not_delay_the_interlock(test: Test) -> None:
         assert "consecutive readings" in alarm(test, "interlock_tripped")
 
 
-def test_a_drive_that_stalls_at_the_end_is_replaced_by_one_that_switches_off(test: Test) -> None:
+def test_a_supply_process_that_stalls_at_the_end_is_replaced_and_switches_off(test: Test) -> None:
     with energised(test):
         stopped = test.drive()
         os.kill(stopped, signal.SIGSTOP)
@@ -559,7 +561,7 @@ def test_a_drive_that_stalls_at_the_end_is_replaced_by_one_that_switches_off(tes
 
 
 @pytest.mark.slow
-def test_a_drive_that_stalls_is_replaced_and_commands_cost_no_set(test: Test) -> None:
+def test_a_supply_process_that_stalls_is_replaced_and_commands_cost_no_set(test: Test) -> None:
     line = line_of(test.instruments, reply_timeout_s=0.1)
     with energised(test, line=line, read_timeout_s=1.0):
         stopped = test.drive()
@@ -582,7 +584,7 @@ def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test: 
         assert not supply.on
 
 
-def test_without_a_supply_there_is_nothing_to_drive(tmp_path: Path) -> None:
+def test_a_test_without_a_supply_has_no_supply_process(tmp_path: Path) -> None:
     command = [sys.executable, "-m", "daq_service.cli", "drive", "--data-dir", str(tmp_path / "data")]
     refused = subprocess.run(command, capture_output=True, text=True, check=False)
     assert refused.returncode == 2

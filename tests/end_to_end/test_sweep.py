@@ -37,7 +37,7 @@ def started(*arguments: str) -> subprocess.Popen[str]:
 
 
 def read_until(process: subprocess.Popen[str], pattern: str) -> str:
-    """First group of the first line that matches."""
+    """Return the first group of the first line that matches."""
     assert process.stderr is not None
     seen = []
     for line in process.stderr:
@@ -53,7 +53,7 @@ def simulate(*arguments: str) -> Result:
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Table of an undisturbed sweep, computed in one thread."""
+    """Return the table of an undisturbed sweep, computed in one thread."""
     path = tmp_path_factory.mktemp("whole") / "table.csv"
     done = simulate(*SLOW, "--workers", "1", "--out", str(path))
     assert done.exit_code == 0, done.output
@@ -77,10 +77,10 @@ def test_a_sweep_killed_and_interrupted_goes_on_and_ends_with_the_same_bytes(
             assert finished <= int(read_until(process, rf"^(\d+) of {ROWS} rows were finished before$"))
             read_until(process, r"\(([34]\d) %\)")
             os.killpg(process.pid, signal.SIGINT)
-            _, told = process.communicate(timeout=LIMIT_S)
-        assert process.returncode == 130, told
-        assert "Traceback" not in told
-        kept = re.search(rf"(\d+) of {ROWS} rows are kept in (.*); the same command goes on", told)
+            _, errors = process.communicate(timeout=LIMIT_S)
+        assert process.returncode == 130, errors
+        assert "Traceback" not in errors
+        kept = re.search(rf"(\d+) of {ROWS} rows are kept in (.*); the same command goes on", errors)
         assert kept
         assert kept[2] == f"{output}.work"
         finished = int(kept[1])
@@ -169,15 +169,15 @@ def test_a_sweep_file_and_the_printed_table(tmp_path: Path) -> None:
         (["--model", "zener", "--sweep", "chain.mass_kg=0.02", "--waveforms"], "leave it out"),
     ],
 )
-def test_what_cannot_be_is_a_usage_error(arguments: list[str], words: str) -> None:
+def test_an_impossible_option_is_a_usage_error(arguments: list[str], words: str) -> None:
     done = simulate(*arguments)
     assert isinstance(done.exception, UsageError)
     assert re.search(words, str(done.exception))
     assert done.stdout == ""
 
 
-def test_a_place_that_cannot_be_written_is_a_storage_error(tmp_path: Path) -> None:
-    # No file system takes such a name, whoever asks.
+def test_an_unwritable_file_is_a_storage_error(tmp_path: Path) -> None:
+    # No file system takes such a name.
     done = simulate("--sweep", "chain.mass_kg=0.0282", "--out", str(tmp_path / f"{'t' * 300}.csv"))
     assert isinstance(done.exception, StorageError)
     assert "cannot write" in str(done.exception)

@@ -1,4 +1,4 @@
-"""Whatever the disk does and whenever the process ends: a set is there whole, or not at all.
+"""A set is complete or absent after any disk fault and any end of the process.
 
 Every call to the operating system goes through the names of `os` in `shared_file`; the tests put
 a `Disk` there that counts the calls, refuses one of them, or ends the process between two.
@@ -85,7 +85,7 @@ class Disk:
 
 
 def journaled(folder):
-    """Store a set; return what makes its file, as the recorder's worker does."""
+    """Store a set; return a function that writes its file, as the worker of the recorder does."""
     with closing(FolderArchive(folder)) as archive:
         archive.store_set(make_set())
     return lambda: compact_set(folder, SET_INDEX)[0]
@@ -113,7 +113,7 @@ def test_the_calls_are_those_the_tests_interpose(monkeypatch, make_file):
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO, errno.EROFS], ids=errno.errorcode.get)
 @pytest.mark.parametrize("call", range(len(CALLS_OF_A_SET)))
-def test_a_refused_call_leaves_nothing_and_says_why(monkeypatch, tmp_path, make_file, call, code):
+def test_a_refused_call_leaves_nothing_and_returns_its_reason(monkeypatch, tmp_path, make_file, call, code):
     put(monkeypatch, Disk(fail_at=call, error=code))
     with pytest.raises(OSError, match=os.strerror(code)):
         make_file()
@@ -127,7 +127,7 @@ def test_after_a_refusal_the_set_can_be_stored_again(monkeypatch, tmp_path, make
         make_file()
     disk = put(monkeypatch, Disk())
     file = make_file()
-    # A fsync that failed is never tried again on its file: everything is written anew.
+    # A fsync that failed is never tried again on its file: everything is written again.
     assert disk.calls == CALLS_OF_A_SET
     assert_same_set(read_set(tmp_path / file), make_set())
 
@@ -199,7 +199,7 @@ class RecordingDisk(Disk):
 
 
 def states_after_power_loss(log, folder):
-    """Every content of the folder that a disk may show after a power cut at the end of ``log``.
+    """Return every content of the folder that a power cut at the end of ``log`` may leave.
 
     What was not synced survives not at all, as a torn prefix, or whole; a name that was not synced
     is there or not.
@@ -258,13 +258,13 @@ def test_opening_a_folder_that_cannot_be_synced_is_a_storage_error(monkeypatch, 
         FolderArchive(tmp_path)
 
 
-def test_a_parent_folder_of_others_need_not_be_readable(monkeypatch, tmp_path):
+def test_an_unreadable_parent_folder_is_accepted(monkeypatch, tmp_path):
     disk = put(monkeypatch, Disk(fail_at=3, error=errno.EACCES))
     FolderArchive(tmp_path)
     assert disk.calls == ["open", "fsync", "close", "open"]
 
 
-def test_windows_cannot_sync_a_folder_and_is_not_asked_to(monkeypatch, tmp_path):
+def test_folders_are_not_synced_on_windows(monkeypatch, tmp_path):
     disk = put(monkeypatch, Disk())
     monkeypatch.setattr(sys, "platform", "win32")
     shared_file.sync_folder(tmp_path)

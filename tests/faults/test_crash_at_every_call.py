@@ -1,4 +1,4 @@
-"""A crash behind any call that changes a file, of the process or of the power: a start mends it by itself."""
+"""A process crash or power cut after any call that changes a file: a restart repairs it."""
 
 import json
 import os
@@ -15,10 +15,10 @@ from support.crashed_recorders import (
     SETS,
     SHOTS_PER_SET,
     crash_settings,
+    faults_after_crash,
     lost_of_kept_open,
     lost_of_replaced,
     outcome,
-    told_of_a_crash,
 )
 from support.refusing_files import needs_a_preload
 from support.small_experiment import SMALL, rows_of
@@ -44,7 +44,7 @@ pytestmark = needs_a_preload
 CACHES = ("tiles/", "live/")
 """A third of all calls write these; a start makes them again, or goes on without."""
 HOURS_S = 4 * 3600
-"""Of each model: some thousand states, of a second or two beside other work."""
+"""Of each model: some thousand states, of a second or two with other work."""
 SOME = 4
 """States of the default run."""
 ALL_STATES = [pytest.mark.slow, pytest.mark.timeout(HOURS_S)]
@@ -53,7 +53,7 @@ QUICK = ("wall", "kept open", "replaced", "replaced and synced")
 
 @pytest.fixture(scope="module")
 def fast():
-    """A folder in memory, where there is one: thousands of states are laid out and synced."""
+    """Return a folder in memory if there is one: thousands of states are written and synced."""
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
         yield Path(folder)
@@ -66,7 +66,7 @@ def library(fast):
 
 @pytest.fixture(scope="module")
 def trace_of(fast, library):
-    """Return a design's folder and calls; those of the default run are recorded by one process."""
+    """Return the folder and calls of a design; one process records those of the default run."""
 
     def get(design):
         if not (fast / design).exists():
@@ -85,7 +85,7 @@ def trace_of(fast, library):
     return get
 
 
-def test_the_calls_written_down_make_the_folder_again(trace_of):
+def test_the_traced_calls_reproduce_the_folder(trace_of):
     folder, calls = trace_of("wall")
     disk = Disk()
     for call in calls:
@@ -108,7 +108,7 @@ def test_the_calls_written_down_make_the_folder_again(trace_of):
         ("replaced and synced", lost_of_replaced, set()),
     ],
 )
-def test_designs_that_lose_shots_are_found_out(trace_of, tmp_path, design, lost_of, models_that_lose):
+def test_designs_that_lose_shots_are_detected(trace_of, tmp_path, design, lost_of, models_that_lose):
     _, calls = trace_of(design)
     losing = Counter()
     for number, (name, state, marks) in enumerate(states(calls)):
@@ -142,10 +142,10 @@ def test_a_recorder_started_on_what_a_crash_left_loses_no_shot_and_changes_no_ro
         # Where shots are acknowledged by the group, the pages of one go to the disk in any order.
         holes = design == "simulated" and name.startswith("pages")
         lost_pages = name.startswith("pages")
-        told = told_of_a_crash(
+        faults = faults_after_crash(
             state, acknowledged, folder, whole, settings, with_holes=holes, lost_pages=lost_pages
         )
-        assert told == [], name
+        assert faults == [], name
         shutil.rmtree(folder)
         count += 1
     assert count >= (some or 40) - 1
@@ -156,14 +156,14 @@ def test_a_recorder_started_on_what_a_crash_left_loses_no_shot_and_changes_no_ro
 
 
 def solimon_record(folder, **environment):
-    """Run ``solimon record`` as a person does; what it says on standard output goes to a file."""
+    """Run ``solimon record`` from the command line; write its standard output to a file."""
     config = folder / "test.json"
     config.write_text(
         json.dumps({**SMALL, "schedule": {**SMALL["schedule"], "end_h": 6.0}}), encoding="utf-8"
     )
     command = [sys.executable, "-m", "daq_service.cli", "record", config, "--data-dir", folder / "data"]
-    with (folder / "said").open("w") as said:
-        subprocess.run([*command, "--log-json"], env={**os.environ, **environment}, stdout=said, check=True)
+    with (folder / "said").open("w") as output:
+        subprocess.run([*command, "--log-json"], env={**os.environ, **environment}, stdout=output, check=True)
 
 
 @pytest.mark.slow
@@ -190,10 +190,10 @@ def test_sixty_states_by_the_command(fast, library, capsys):
 
 
 def _seen_from_the_data(call):
-    """A call as of the data folder; a line on standard output is a promise."""
+    """Return a call relative to the data folder; a line on standard output is an acknowledgement."""
     if call.path == "said" and call.kind == "w":
-        told = (json.loads(line) for line in call.content.splitlines())
-        return [Call(kind=MARK, path="", number=line["shot_id"]) for line in told if "shot_id" in line]
+        messages = (json.loads(line) for line in call.content.splitlines())
+        return [Call(kind=MARK, path="", number=line["shot_id"]) for line in messages if "shot_id" in line]
     if call.path.startswith("data/") or (call.path == "data" and call.kind == "s"):
         content = call.content.removeprefix(b"data/") if call.kind == "r" else call.content
         path = call.path.removeprefix("data").removeprefix("/")
@@ -202,7 +202,7 @@ def _seen_from_the_data(call):
 
 
 def durable(folder):
-    """Ids of the shots that files and journal hold."""
+    """Return the ids of the shots in files and journal."""
     reader = FolderSetReader(folder)
     stored = {item.sequence for file in reader.sets().values() for item in reader.read_set(file).records}
     return stored | {sequence for item in read_journal(folder).values() for sequence in item.shots}

@@ -44,16 +44,16 @@ def short_settings():
 
 def killed(folder, settings, after, **options):
     """Record until so many shots are acknowledged; return their ids."""
-    told = []
+    shot_ids = []
 
     def acknowledged(shot_id):
-        told.append(shot_id)
-        if len(told) == after:
+        shot_ids.append(shot_id)
+        if len(shot_ids) == after:
             raise Killed
 
     with pytest.raises(Killed):
         record(settings, folder, acknowledged=acknowledged, **options)
-    return told
+    return shot_ids
 
 
 def newest_segment(folder):
@@ -62,7 +62,7 @@ def newest_segment(folder):
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
-    """What becomes of the test that nothing damages."""
+    """Return the result of the undamaged test."""
     folder = tmp_path_factory.mktemp("whole") / "test"
     record(short_settings(), folder)
     return outcome(folder, "wall")
@@ -82,7 +82,7 @@ def flip(place):
 
 
 def zeroed(content, found):
-    """Lose a page of 512 bytes in the midst of what was acknowledged."""
+    """Overwrite a page of 512 bytes among the acknowledged records with zeros."""
     start = found[2].start + 100
     content[start : start + 512] = bytes(512)
 
@@ -107,16 +107,16 @@ QUICK = ("header of the first frame", "counts of a shot", "header of the last fr
 @pytest.mark.parametrize(
     "place", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in PLACES]
 )
-def test_damage_in_an_open_set_is_reported_and_costs_the_damaged_shot_only(tmp_path, whole, place):
+def test_corruption_in_an_open_set_is_reported_and_costs_only_its_shot(tmp_path, whole, place):
     folder, settings = tmp_path / "test", short_settings()
-    told = killed(folder, settings, KILLED_AFTER)
+    shot_ids = killed(folder, settings, KILLED_AFTER)
     segment = newest_segment(folder)
     content = bytearray(segment.read_bytes())
     found = [frame for frame in frames(bytes(content)) if frame.set_index == 1]
     assert found[0].kind is Kind.BEGIN
     PLACES[place](content, found)
     segment.write_bytes(content)
-    sound = {frame.sequence for frame in frames(bytes(content)) if frame.sound} | set(told[:A_SET])
+    sound = {frame.sequence for frame in frames(bytes(content)) if frame.sound} | set(shot_ids[:A_SET])
     assert [line.kind for line in verify_folder(folder).damage].count("frame") >= 1
 
     record(settings, folder)
@@ -126,7 +126,7 @@ def test_damage_in_an_open_set_is_reported_and_costs_the_damaged_shot_only(tmp_p
     assert copy.read_bytes() == bytes(content).rstrip(b"\0")
     assert [event["file"] for event in events] == [f"quarantine/{copy.name}"]
     after = outcome(folder, "wall")
-    for shot_id in told:
+    for shot_id in shot_ids:
         if shot_id in sound:
             assert after.keys[shot_id] == whole.keys[shot_id]
             assert after.counts[shot_id] == whole.counts[shot_id]
@@ -140,7 +140,7 @@ def test_damage_in_an_open_set_is_reported_and_costs_the_damaged_shot_only(tmp_p
     assert [path.name for path in (folder / "quarantine").iterdir()] == [copy.name]
 
 
-def test_a_set_whose_time_is_over_names_the_damage_as_its_cause(tmp_path, monkeypatch):
+def test_an_expired_set_names_the_corruption_as_its_cause(tmp_path, monkeypatch):
     folder, settings = tmp_path / "test", short_settings()
     killed(folder, settings, KILLED_AFTER)
     segment = newest_segment(folder)
@@ -165,18 +165,18 @@ def test_a_set_whose_time_is_over_names_the_damage_as_its_cause(tmp_path, monkey
 
 def test_a_segment_whose_name_is_damaged_is_found_by_its_frames(tmp_path):
     folder, settings = tmp_path / "test", short_settings()
-    told = killed(folder, settings, KILLED_AFTER)
+    shot_ids = killed(folder, settings, KILLED_AFTER)
     segment = newest_segment(folder)
     segment.rename(segment.with_name(segment.name.replace("0", "p", 1)))
     assert [line.kind for line in verify_folder(folder).damage].count("frame") == 1
     record(settings, folder)
-    assert set(told) <= outcome(folder, "wall").counts.keys()
+    assert set(shot_ids) <= outcome(folder, "wall").counts.keys()
     (alarm,), _ = damage_alarms(folder)
     assert alarm.state == "unacknowledged"
 
 
 @pytest.mark.parametrize("kind", [pytest.param(Kind.BEGIN, marks=pytest.mark.slow), Kind.SHOT, Kind.END])
-def test_damage_in_a_set_with_rows_leaves_a_file_of_what_is_sound(tmp_path, kind):
+def test_corruption_in_a_set_with_rows_leaves_a_file_of_the_sound_records(tmp_path, kind):
     folder, settings = tmp_path / "test", short_settings()
     killed(folder, settings, KILLED_AFTER, worker=NoWorker)
     segment = newest_segment(folder)
@@ -200,7 +200,7 @@ def test_damage_in_a_set_with_rows_leaves_a_file_of_what_is_sound(tmp_path, kind
 def test_an_unscheduled_set_without_its_first_frame_goes_on(tmp_path):
     folder, settings = tmp_path / "test", crash_settings("wall")
     struck = 3 * crashed_recorders.SETS * crashed_recorders.SHOTS_PER_SET + crashed_recorders.SETS
-    told = killed(folder, settings, struck + 2)
+    shot_ids = killed(folder, settings, struck + 2)
     segment = newest_segment(folder)
     content = bytearray(segment.read_bytes())
     begin = [frame for frame in frames(bytes(content)) if frame.kind is Kind.BEGIN][-1]
@@ -209,7 +209,7 @@ def test_an_unscheduled_set_without_its_first_frame_goes_on(tmp_path):
     segment.write_bytes(content)
     record(settings, folder)
     after = outcome(folder, "wall")
-    assert set(told) <= after.counts.keys()
+    assert set(shot_ids) <= after.counts.keys()
     (row,) = [row for row in after.rows["sets"] if row.set_index == begin.set_index]
     assert (row.state, row.n_taken) == ("done", crashed_recorders.SHOTS_PER_SET)
     (alarm,), _ = damage_alarms(folder)

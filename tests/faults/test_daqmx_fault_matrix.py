@@ -148,7 +148,7 @@ def laboratory(request):
 
 
 def guarded(parameters: DaqmxParameters) -> DaqmxParameters:
-    """Put the board's watchdog over the coil and hold off, so that those calls are faulted too."""
+    """Enable watchdog and holdoff, so that their calls get faults too."""
     serial = parameters.transducers["C"].coil_serial
     watchdog = WatchdogWiring(board_serial=serial, lines=("port2/line4",))
     return replace(parameters, watchdog=watchdog, holdoff_s=HOLDOFF_S)
@@ -156,7 +156,7 @@ def guarded(parameters: DaqmxParameters) -> DaqmxParameters:
 
 @pytest.fixture(scope="module")
 def calls(laboratory) -> list[Call]:
-    """Every distinct call of a fault-free line, by the phase it is made in."""
+    """Return every distinct call of a fault-free line, by its phase."""
     control = laboratory.brain.control
     found = []
 
@@ -182,7 +182,7 @@ def calls(laboratory) -> list[Call]:
 
 
 def line(laboratory: Laboratory, before=lambda _: None, *, read_timeout_s: float = READ_TIMEOUT_S) -> Outcome:
-    """Open, take a shot, self-calibrate, close; an error leaves the rig safe and the line goes on."""
+    """Open, take a shot, self-calibrate, close; make the rig safe after an error and continue."""
     outcome = Outcome()
     stack = ExitStack()
     before("opening")
@@ -225,7 +225,7 @@ def _go_on(
 
 
 def make_safe(rig: DaqmxInstruments, outcome: Outcome) -> None:
-    """As a rig does: coil first, then the digitizer."""
+    """Make coil, then digitizer safe, as a rig does."""
     try:
         rig.striker.make_safe()
     except InstrumentError as error:
@@ -235,7 +235,7 @@ def make_safe(rig: DaqmxInstruments, outcome: Outcome) -> None:
 
 
 def take_next(rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome, read_timeout_s: float) -> None:
-    """Take the next shot; whatever the fault was, the ladder's rungs and one busy turn are enough."""
+    """Take the next shot within the recovery steps and one busy turn after any fault."""
     for shot in range(1, len(LADDER) + 3):
         key = ShotKey(position="C", set_index=2, shot_index=shot)
         try:
@@ -262,8 +262,8 @@ def faulty_line(laboratory: Laboratory, call: Call, kind: str, code: int | None)
     return line(laboratory, before)
 
 
-def told_wrongly(laboratory: Laboratory, outcome: Outcome, allowed) -> Iterator[str]:
-    """Errors of a wrong class and records that are not the twin's."""
+def wrong_results(laboratory: Laboratory, outcome: Outcome, allowed) -> Iterator[str]:
+    """Yield errors of a wrong class and records that differ from the twin."""
     for error in outcome.errors:
         if not isinstance(error, allowed):
             yield f"{type(error).__name__} is the wrong class: {error}"
@@ -279,7 +279,7 @@ def told_wrongly(laboratory: Laboratory, outcome: Outcome, allowed) -> Iterator[
 
 
 def left_wrongly(laboratory: Laboratory, call: Call) -> Iterator[str]:
-    """A coil that is on, a pulse longer than asked, a task or a reservation left behind."""
+    """Yield a coil left on, a pulse too long, and tasks or reservations left behind."""
     record = laboratory.brain.control.record()
     if record["reservations"]:
         yield f"still held: {record['reservations']}"
@@ -291,7 +291,7 @@ def left_wrongly(laboratory: Laboratory, call: Call) -> Iterator[str]:
 
 
 def coil_wrongly(laboratory: Laboratory) -> Iterator[str]:
-    """What is wrong with the coil's line in the double's record."""
+    """Yield faults of the coil's line in the record of the double."""
     try:
         pulses_s = coil_pulses_s(laboratory.brain.control.record())
     except AssertionError as error:
@@ -310,7 +310,7 @@ def polynomial_v():
 
 
 def next_run_is_sound(laboratory: Laboratory, call: Call) -> Iterator[str]:
-    """A new rig takes the line without a single error, and leaves nothing."""
+    """Check that a new rig runs the line without an error and leaves nothing."""
     control = laboratory.brain.control
     control.clear_faults()
     control.release_hangs()
@@ -321,7 +321,7 @@ def next_run_is_sound(laboratory: Laboratory, call: Call) -> Iterator[str]:
     outcome = line(laboratory, read_timeout_s=SOUND_READ_TIMEOUT_S)
     if outcome.errors:
         yield f"the next run failed: {outcome.errors}"
-    texts = [*told_wrongly(laboratory, outcome, ()), *left_wrongly(laboratory, call)]
+    texts = [*wrong_results(laboratory, outcome, ()), *left_wrongly(laboratory, call)]
     yield from (f"the next run: {text}" for text in texts)
     # What the driver would not clear would gather over the cases.
     if laboratory.brain.control.record()["tasks"]:
@@ -346,13 +346,13 @@ def each_in_turn(
 
 
 def after_a_fault(laboratory: Laboratory, call: Call, kind: str, allowed, code: int | None) -> list[str]:
-    """Everything that is wrong after one fault."""
+    """Return every fault found after one injected fault."""
     laboratory.brain.control.clear_record()
     texts = []
     try:
         outcome = faulty_line(laboratory, call, kind, code)
         laboratory.replace_dead_brain()
-        texts += told_wrongly(laboratory, outcome, allowed)
+        texts += wrong_results(laboratory, outcome, allowed)
         if kind == "hang":  # what hung is carried out when it is released; the next run clears it
             laboratory.brain.control.release_hangs()
             texts += coil_wrongly(laboratory)
@@ -367,7 +367,7 @@ def after_a_fault(laboratory: Laboratory, call: Call, kind: str, allowed, code: 
 
 
 def one_of_each(calls: list[Call]) -> list[Call]:
-    """The first call of every entry point."""
+    """Return the first call of every entry point."""
     first = {}
     for call in calls:
         first.setdefault(call.function, call)
@@ -375,7 +375,7 @@ def one_of_each(calls: list[Call]) -> list[Call]:
 
 
 def one_of_each_phase(calls: list[Call]) -> list[Call]:
-    """The first call of every phase."""
+    """Return the first call of every phase."""
     first = {}
     for call in calls:
         first.setdefault(call.phase, call)
@@ -462,7 +462,7 @@ def hang_each(laboratory: Laboratory, chosen: list[Call]) -> None:
 
 
 def hung_and_killed(laboratory: Laboratory, call: Call) -> Iterator[str]:
-    """Let a client of its own process hang, kill it, and see what the double noticed."""
+    """Hang a client in its own process, kill it, and return what the double recorded."""
     control = laboratory.brain.control
     control.clear_record()
     client = in_a_process(hang, laboratory.brain.wire, control.address, laboratory.parameters, call)
@@ -476,7 +476,7 @@ def hung_and_killed(laboratory: Laboratory, call: Call) -> Iterator[str]:
 
 
 def hang(wire: str, control: str, parameters: DaqmxParameters, call: Call) -> None:
-    """Child: take the line with a call in it that never returns."""
+    """Run the line in a child with a call that never returns."""
     from simulator.doubles.transports.control import DoublesControl
 
     with pytest.MonkeyPatch.context() as patch, DoublesControl(control) as connected:

@@ -143,7 +143,7 @@ def test_each_turn_commits_once_and_ends_the_one_before(doubles, parameters):
 
 
 @by_both
-def test_a_record_says_what_it_was_taken_with(doubles, parameters, transport):
+def test_a_record_stores_its_acquisition_settings(doubles, parameters, transport):
     with open_daqmx(parameters) as rig:
         settings = take(rig, doubles, key()).settings
         identity = rig.identity
@@ -212,7 +212,7 @@ def test_a_board_too_slow_is_refused_with_the_rate_it_can_do(parameters):
         open_daqmx(slow).__enter__()
 
 
-def test_a_coerced_rate_is_refused_with_what_was_given(parameters):
+def test_a_coerced_rate_is_refused_with_the_given_rate(parameters):
     # 100 MHz / 11: the next rate above that divides the time base.
     with pytest.raises(ConfigurationError, match=r"9000000 Hz; PXIe-6386 01E16086 would use 9090909\.09"):
         open_daqmx(replace(parameters, sample_rate_hz=9e6)).__enter__()
@@ -226,12 +226,12 @@ def test_a_range_the_board_does_not_have_is_refused_with_those_it_has(parameters
 @pytest.mark.parametrize(
     "changes", [{"input": "ai9"}, {"counter": "ctr7"}, {"terminal_configuration": "nrse"}]
 )
-def test_wiring_that_does_not_exist_is_refused(parameters, changes):
+def test_missing_wiring_is_refused(parameters, changes):
     with pytest.raises(ConfigurationError, match="DAQmx -200"):
         open_daqmx(with_wiring(parameters, **changes)).__enter__()
 
 
-def test_a_serial_number_that_is_not_there_is_told_with_those_that_are(parameters):
+def test_a_missing_serial_number_is_reported_with_those_present(parameters):
     with pytest.raises(ConnectionLostError, match=r"0000BEEF; there are: .*01E16086 \(PXI1Slot3\)"):
         open_daqmx(with_wiring(parameters, board_serial="BEEF")).__enter__()
 
@@ -282,7 +282,7 @@ def test_a_pulse_too_short_to_lift_the_striker_is_a_missed_strike(doubles, param
 # Busy ---------------------------------------------------------------------------------------------
 
 
-def test_a_board_somebody_else_uses_is_busy_and_never_reset(doubles, parameters):
+def test_a_board_used_by_another_process_is_busy_and_never_reset(doubles, parameters):
     doubles.control.occupy(f"{SERIAL}/ai", "LabVIEW on BENCH-7")
     with pytest.raises(BusyError, match=r"-50103.*owner: .*LabVIEW on BENCH-7"):
         open_daqmx(parameters).__enter__()
@@ -455,7 +455,7 @@ def test_make_safe_ends_a_pulse_at_once(doubles, parameters):
 
 
 @by_both
-def test_a_coil_that_cannot_be_switched_off_is_told_and_ends_by_itself(monkeypatch, transport):
+def test_a_coil_that_cannot_be_switched_off_is_reported_and_ends_by_itself(monkeypatch, transport):
     """Neither stop nor abort nor clear goes through: only the board's own counter is left."""
     with running_brain(DESCRIPTION) as doubles:  # its own: the refused tasks stay in it
         if transport == "library":
@@ -476,7 +476,7 @@ def test_a_coil_that_cannot_be_switched_off_is_told_and_ends_by_itself(monkeypat
 
 
 def arm_until_free(rig):
-    """Arm again: the driver waits until the striker has landed and climbs past the refused tasks."""
+    """Arm again: the driver waits until the striker has landed and retries refused tasks."""
     for _ in range(len(LADDER)):
         try:
             rig.digitizer.arm(key(1))
@@ -543,9 +543,7 @@ METADATA = {
 
 
 @pytest.mark.parametrize("function", METADATA)
-def test_a_board_that_does_not_say_its_calibration_is_used_all_the_same(
-    doubles, parameters, function, caplog
-):
+def test_a_board_without_calibration_information_is_used(doubles, parameters, function, caplog):
     """NI's simulated devices refuse the date with -200077."""
     doubles.control.inject(function, "error", code=-200077)
     with open_daqmx(parameters) as rig:
@@ -559,7 +557,7 @@ def test_a_board_that_does_not_say_its_calibration_is_used_all_the_same(
 # Reference clock ------------------------------------------------------------------------------------
 
 
-def test_a_chassis_clock_is_asked_for_and_the_shot_is_the_same(doubles, parameters):
+def test_a_chassis_clock_is_requested_and_the_shot_is_the_same(doubles, parameters):
     locked = replace(parameters, reference_clock="PXI_Clk10")
     with open_daqmx(locked) as rig:
         acquired = take(rig, doubles, key())
@@ -628,7 +626,7 @@ def test_a_record_larger_than_grpcs_own_limit_comes_through(doubles, remote):
 
 
 @on_a_server
-def test_tasks_a_killed_recorder_left_are_cleared_and_nobody_elses(doubles, remote):
+def test_only_the_tasks_of_a_killed_recorder_are_cleared(doubles, remote):
     from nidaqmx import Task
     from nidaqmx.grpc_session_options import GrpcSessionOptions
 
@@ -653,7 +651,7 @@ def test_tasks_a_killed_recorder_left_are_cleared_and_nobody_elses(doubles, remo
 
 
 def arm_and_wait(parameters, started):
-    """Child: leave an armed digitizer behind."""
+    """Leave an armed digitizer behind, in a child."""
     with open_daqmx(parameters) as rig:
         rig.digitizer.arm(key(0))
         started.set()
@@ -714,7 +712,7 @@ def test_a_killed_driver_of_the_library_is_found_again(monkeypatch):
         assert_sound(parameters, take(rig, second, key(2)), key(2))
 
 
-def test_a_driver_that_is_not_installed_is_told_with_its_remedy():
+def test_a_driver_that_is_not_installed_is_reported_with_a_remedy():
     """In a process of its own: this one has found the double already."""
     receiver, sender = context().Pipe(duplex=False)
     child = in_a_process(open_without_driver, sender)
@@ -725,7 +723,7 @@ def test_a_driver_that_is_not_installed_is_told_with_its_remedy():
 
 
 def open_without_driver(sender):
-    """Child: no library anywhere."""
+    """Open the boards without any library, in a child."""
     parameters = parameters_of(DESCRIPTION, None)
     try:
         open_daqmx(parameters).__enter__()

@@ -140,14 +140,14 @@ def test_a_counter_of_another_board_of_the_chassis_starts_the_acquisition(double
 
 @by_library
 @pytest.mark.parametrize(
-    ("position", "told"),
+    ("position", "message"),
     [
         ("E", r"PXI-6115 00F12015 by /PXI1Slot4/Ctr1InternalOutput.*of S Series ctr0 only.*-89136"),
         ("G", r"01E16086 by /Dev9/Ctr2InternalOutput of PXIe-6386 0BAD0001.*same chassis.*-89125"),
     ],
 )
-def test_a_board_that_the_counter_cannot_start_is_refused_before_a_test_begins(parameters, position, told):
-    with pytest.raises(ConfigurationError, match=told):
+def test_a_board_that_the_counter_cannot_start_is_refused_before_a_test_begins(parameters, position, message):
+    with pytest.raises(ConfigurationError, match=message):
         open_daqmx(only(parameters, position, holdoff_s=HOLDOFF_S)).__enter__()
     with open_daqmx(only(parameters, position)):
         pass  # without a holdoff it is as good as any
@@ -157,13 +157,13 @@ def test_a_board_that_the_counter_cannot_start_is_refused_before_a_test_begins(p
 def test_the_driver_refuses_a_holdoff_that_the_parameters_let_pass(doubles, parameters):
     """As a later change of theirs might: the wave would come while nothing is armed, or the ringing."""
     mine = only(parameters, "C", holdoff_s=HOLDOFF_S)
-    for name, value, told in (
+    for name, value, message in (
         ("holdoff_s", 0.02, r"0\.02 s; it must be longer than ringing_s = 0 s and shorter than 0\.01418 s"),
         ("ringing_s", 8e-3, r"0\.007 s; it must be longer than ringing_s = 0\.008 s and shorter than"),
     ):
         wrong = replace(mine)
         object.__setattr__(wrong, name, value)
-        with pytest.raises(ConfigurationError, match=told):
+        with pytest.raises(ConfigurationError, match=message):
             open_daqmx(wrong).__enter__()
     assert coil_pulses_s(doubles.control.record()) == []
 
@@ -177,7 +177,7 @@ def test_the_driver_refuses_a_holdoff_that_the_parameters_let_pass(doubles, para
         ("DAQmxGetTrigAttribute:StartTrig.Delay", r"would hold off for 0\.00707 s"),
     ],
 )
-def test_a_holdoff_that_is_not_what_was_asked_is_not_gone_on_with(doubles, parameters, call, error):
+def test_a_holdoff_that_differs_from_the_request_stops_the_shot(doubles, parameters, call, error):
     doubles.control.inject(call, "lie")
     with pytest.raises(InstrumentError, match=error):
         open_daqmx(only(parameters, "C", holdoff_s=HOLDOFF_S)).__enter__()
@@ -217,7 +217,7 @@ def test_a_rehearsal_records_no_strike(doubles, parameters):
 @by_library
 @pytest.mark.filterwarnings("ignore::nidaqmx.errors.DaqResourceWarning")
 @pytest.mark.parametrize("code", [-88710, pytest.param(-50103, marks=pytest.mark.slow)])
-def test_a_fault_at_any_call_of_it_leaves_the_coil_off_and_no_task(doubles, parameters, code):
+def test_a_fault_at_any_holdoff_call_leaves_the_coil_off_and_no_task(doubles, parameters, code):
     """Each distinct call of a fault-free record in turn; what the driver only tells may be missing.
 
     What is refused to be created or cleared is the fault matrix's.

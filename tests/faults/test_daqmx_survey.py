@@ -79,12 +79,12 @@ def test_a_dry_run_is_surveyed_with_its_trigger(doubles, parameters):
     assert "CfgAnlgEdgeRefTrig" in functions_of(doubles.control.record())
 
 
-def test_a_temperature_that_is_unknown_is_compared_with_nothing(doubles, parameters):
+def test_an_unknown_temperature_is_not_compared(doubles, parameters):
     doubles.control.inject("DAQmxGetCalInfoAttribute:Cal.DevTemp", "error", code=-200077, times=0)
     found = survey_rig(parameters)
-    (told,) = (one for one in found.findings if one.check == "calibrated")
-    assert (told.state, told.remedy) == ("ok", "")
-    assert "does not say how warm" in told.detail
+    (finding,) = (one for one in found.findings if one.check == "calibrated")
+    assert (finding.state, finding.remedy) == ("ok", "")
+    assert "does not say how warm" in finding.detail
 
 
 def test_noise_near_the_trigger_level_is_a_warning(parameters):
@@ -97,7 +97,7 @@ def test_noise_near_the_trigger_level_is_a_warning(parameters):
 
 
 @pytest.mark.parametrize(
-    ("changes", "check", "told"),
+    ("changes", "check", "message"),
     [
         ({"board_serial": f"{SLOW.serial_number:08X}", "striker_serial": f"{SERIAL:08X}"},
          "board can do it", "at most 250000 Hz"),
@@ -106,18 +106,18 @@ def test_noise_near_the_trigger_level_is_a_warning(parameters):
         ({"counter": "ctr7"}, "coil's counter", "ctr7"),
     ],
 )  # fmt: skip
-def test_wrong_wiring_fails_where_it_is_wrong_and_the_rest_is_looked_at(parameters, changes, check, told):
+def test_wrong_wiring_fails_at_its_channel_and_the_rest_is_checked(parameters, changes, check, message):
     wrong = replace(parameters.transducers["C"], **changes)
     found = survey_rig(replace(parameters, transducers={"C": wrong, "D": parameters.transducers["D"]}))
     failed = findings(found, "fail")
     assert {finding.subject for finding in failed} == {"transducer C"}
     (finding,) = (finding for finding in failed if finding.check == check)
-    assert told in finding.detail
+    assert message in finding.detail
     assert all(finding.remedy for finding in failed)
     assert "D" in found.noise_rms_v
 
 
-def test_a_board_that_is_not_there_is_told_with_a_remedy(doubles, parameters):
+def test_a_missing_board_is_reported_with_a_remedy(doubles, parameters):
     doubles.control.unplug(SERIAL)
     try:
         found = survey_rig(parameters)

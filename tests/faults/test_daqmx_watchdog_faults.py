@@ -164,7 +164,7 @@ def test_a_counter_that_starts_after_expiry_is_refused_by_the_board(doubles, par
         assert_sound(parameters, take(rig, doubles, key(1)), key(1))
 
 
-def test_a_board_that_says_expired_without_cause_costs_one_strike(doubles, parameters):
+def test_a_board_that_reports_a_false_expiry_costs_one_strike(doubles, parameters):
     with open_daqmx(parameters) as rig:
         rig.digitizer.arm(key(0))
         doubles.control.inject("DAQmxGetWatchdogAttribute:Watchdog.HasExpired", "lie")
@@ -190,7 +190,7 @@ def test_a_line_the_board_does_not_have_is_refused_when_the_rig_opens(parameters
         open_daqmx(wrong).__enter__()
 
 
-def test_a_watchdog_somebody_else_runs_is_busy_and_nothing_moves(doubles, parameters):
+def test_a_watchdog_of_another_process_is_busy_and_nothing_moves(doubles, parameters):
     with open_daqmx(parameters) as rig:
         doubles.control.occupy(f"{SERIAL}/watchdog", "LabVIEW on BENCH-7")
         try:

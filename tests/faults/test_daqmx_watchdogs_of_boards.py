@@ -1,4 +1,4 @@
-"""Two boards that drive coils, each with its own watchdog: whichever strikes, its own one stands over it."""
+"""Two boards that drive coils, each with its own watchdog, which guards its strikes."""
 
 from dataclasses import replace
 

@@ -80,7 +80,7 @@ def test_a_supply_lost_for_long_is_switched_off_when_it_is_back(rig):
     assert rig.active() == {"interlock_tripped"}
 
 
-def test_a_brown_out_is_told_and_not_corrected(rig):
+def test_a_brown_out_is_reported_and_not_corrected(rig):
     rig.instruments.brown_out()
     rig.run(60.0)
     assert rig.active() == {"supply_off_unexpectedly"}
@@ -120,7 +120,7 @@ def test_one_bad_answer_is_no_alarm_and_costs_no_charge(rig, fault):
     assert row["charge_coulomb"] - before == pytest.approx(30.0 * CURRENT_A, rel=1e-4)  # as above
 
 
-def test_another_instrument_at_the_port_is_lost_and_hears_no_order(rig):
+def test_another_instrument_at_the_port_is_lost_and_receives_no_command(rig):
     rig.instruments.supply_link.unplug()
     rig.instruments.supply_link.do(lambda: setattr(rig.instruments.supply, "identity", "OTHER,THING,7,2.0"))
     rig.instruments.supply_link.plug()

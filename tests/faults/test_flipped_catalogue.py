@@ -1,4 +1,4 @@
-"""Bits flipped in catalogue and history, both cut short: what is read is what was written, or it is told."""
+"""Bits flipped in catalogue and history, both cut short: what is read is what was written, or an error."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ def life(tmp_path_factory: pytest.TempPathFactory) -> Line:
 
 
 def damaged(content: bytes, number: int, seed: int) -> Iterator[bytes]:
-    """Contents with one bit changed, nine of ten; the others cut short. Zeros, mostly free space, stay."""
-    told = [place for place, byte in enumerate(content) if byte]
+    """Yield contents with one bit changed, nine of ten; others truncated. Zeros, mostly free space, stay."""
+    nonzero = [place for place, byte in enumerate(content) if byte]
     chosen = random.Random(seed)
     for count in range(number):
         if count % 10 == 9:
             yield content[: chosen.randrange(len(content))]
         else:
-            place = chosen.choice(told)
+            place = chosen.choice(nonzero)
             yield content[:place] + bytes([content[place] ^ 1 << chosen.randrange(8)]) + content[place + 1 :]
 
 
 def rows_read(folder: Path, *, writer: bool) -> dict[type[Row], list[Any] | None]:
-    """Rows of every kind; None: that there is damage was told."""
+    """Return rows of every kind, or None where corruption is reported."""
     found: dict[type[Row], list[Any] | None] = dict.fromkeys(KINDS)
     try:
         with open_catalogue(folder, writer=True) if writer else open_catalogue(folder) as catalogue:
@@ -61,9 +61,9 @@ def rows_read(folder: Path, *, writer: bool) -> dict[type[Row], list[Any] | None
 
 
 def changed_unnamed(folder: Path, content: bytes, whole: Rows) -> list[tuple[str, Any]]:
-    """Rows that stand otherwise in a damaged file, by whatever still reads it, and are not named."""
+    """Return rows of a corrupt file that differ and are not reported as corrupt."""
     path = folder / FILE_NAME
-    path.write_bytes(content)  # a start may have mended what lay beside
+    path.write_bytes(content)  # a start may have repaired other files
     named = {(damage.table, damage.row_id) for damage in catalogue_corruption(folder)}
     unnamed = []
     for table, rows in whole.items():
@@ -82,7 +82,7 @@ def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(
 ) -> None:
     whole = rows_read(life.folder, writer=False)
     rows, original = table_rows(life.folder), (life.folder / FILE_NAME).read_bytes()
-    told = 0
+    reported = 0
     for count, content in enumerate(damaged(original, number, seed=5)):
         folder = tmp_path / f"{count}"
         folder.mkdir()
@@ -91,22 +91,22 @@ def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(
         for kind, found in rows_read(folder, writer=False).items() if count % 4 == 0 else ():
             assert found is None or all(row in (whole[kind] or []) for row in found), count
         started = rows_read(folder, writer=True)
-        is_told = None in started.values()
+        is_reported = None in started.values()
         assert not (unnamed := changed_unnamed(folder, content, rows)), (count, unnamed)
-        assert is_told or started == whole, count
-        told += is_told
-        if is_told and count % REBUILT_EVERY == 0:
+        assert is_reported or started == whole, count
+        reported += is_reported
+        if is_reported and count % REBUILT_EVERY == 0:
             line = replace(life, folder=tmp_path / f"rebuilt-{count}")
             shutil.copytree(life.folder, line.folder)
             (line.folder / FILE_NAME).write_bytes(content)
             rebuild(line.folder, features_of=line.features_of)
             assert table_rows(line.folder) == rows, count
         shutil.rmtree(folder)
-    assert told > number / 2
+    assert reported > number / 2
 
 
 @pytest.mark.parametrize("number", [300, pytest.param(3000, marks=pytest.mark.slow)])
-def test_the_history_gives_what_was_written_and_tells_what_is_missing(life: Line, number: int) -> None:
+def test_the_history_returns_the_written_events_and_reports_missing_ones(life: Line, number: int) -> None:
     original = (life.folder / HISTORY_FILE).read_bytes()
     whole = parse_lines(original)
     for count, content in enumerate(damaged(original, number, seed=7)):
@@ -115,7 +115,7 @@ def test_the_history_gives_what_was_written_and_tells_what_is_missing(life: Line
         for name in ("events", "commands", "digests"):
             read, written = getattr(found, name), getattr(whole, name)
             missing += len(written) - len(read)
-            # An order's earlier state stands where a later line of it is lost.
+            # A command's earlier state remains where a later line of it is lost.
             assert name == "commands" or read.items() <= written.items(), count
         assert found.experiment in (None, whole.experiment), count
         cut_short = original.startswith(content) or content[:-1] == original[:-1]

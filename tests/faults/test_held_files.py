@@ -1,4 +1,4 @@
-"""Files that somebody holds for a moment, as scanners do on Windows: nothing ends, nothing is lost."""
+"""Files that are held for a moment, as scanners do on Windows: nothing ends, nothing is lost."""
 
 import errno
 import json
@@ -61,7 +61,7 @@ def asked(url: str) -> tuple[int, bytes]:
         for name, when in HELD.items()
     ],
 )
-def test_recorder_supervisor_and_web_outlive_held_files(library, undisturbed, tmp_path, when):
+def test_recorder_supervisor_and_web_survive_held_files(library, undisturbed, tmp_path, when):
     data, log = tmp_path / "data", tmp_path / "refused"
     command = [
         sys.executable,
@@ -91,9 +91,9 @@ def test_recorder_supervisor_and_web_outlive_held_files(library, undisturbed, tm
             until(finished, "the end of the schedule")
         finally:
             process.send_signal(signal.SIGTERM)
-            said, _ = process.communicate(timeout=60.0)
-    assert process.returncode == 130, said
-    assert "Traceback" not in said
+            output, _ = process.communicate(timeout=60.0)
+    assert process.returncode == 130, output
+    assert "Traceback" not in output
     logs = "".join(path.read_text(encoding="utf-8") for path in (data / "logs").glob("*.log"))
     assert "Traceback" not in logs
     assert "started again" not in logs, "no process ended before its time"
@@ -135,7 +135,7 @@ def n_sets(data: Path) -> int:
     ],
 )
 def test_a_disk_that_takes_nothing_is_waited_for(library, undisturbed, tmp_path, part, number, words):
-    """From set 2 on every write to journal, sets or catalogue is refused until somebody mends it."""
+    """From set 2 on every write to journal, sets or catalogue is refused until the fault ends."""
     data, log, broken = tmp_path / "data", tmp_path / "refused", tmp_path / "broken"
     environment = refusing(
         library, data / part, calls="write", errno=number, when="file", log=log, while_there=broken
@@ -147,17 +147,17 @@ def test_a_disk_that_takes_nothing_is_waited_for(library, undisturbed, tmp_path,
         try:
             until(lambda: n_sets(data) >= 2 or process.poll(), "the second set")
             broken.touch()
-            told = "stays in the journal" if part == "sets" else "not stored"
-            until(lambda: told in recorder_log.read_text() or process.poll(), "the trouble")
+            message = "stays in the journal" if part == "sets" else "not stored"
+            until(lambda: message in recorder_log.read_text() or process.poll(), "the trouble")
             broken.unlink()
-            _, said = process.communicate(timeout=120.0)
+            _, errors = process.communicate(timeout=120.0)
         finally:
             process.kill()
-    assert process.returncode == 0, said
+    assert process.returncode == 0, errors
     assert words in recorder_log.read_text()
     assert len(list(data.glob("sets/*.h5"))) == len({row.set_index for row in undisturbed["sets"]})
     assert list(data.glob("journal/*")) == []
-    told = rows_of(data)
-    alarms = told.pop("alarms")
-    assert told == {name: rows for name, rows in undisturbed.items() if name != "alarms"}
+    stored = rows_of(data)
+    alarms = stored.pop("alarms")
+    assert stored == {name: rows for name, rows in undisturbed.items() if name != "alarms"}
     assert [(row.kind, row.state) for row in alarms] == [("storage_unavailable", "returned_unacknowledged")]

@@ -81,7 +81,7 @@ def start(program, *arguments):
 
 
 def end(process, *, killed):
-    """Whole lines that it had left to say."""
+    """Return the complete lines of the remaining output."""
     if killed:
         process.kill()
     output, errors = process.communicate()
@@ -91,7 +91,7 @@ def end(process, *, killed):
 
 
 def a_moment_more(process, seconds):
-    """Let it work on: nothing but its end could come earlier, and it does not end by itself."""
+    """Let the process work on; it does not end by itself."""
     with pytest.raises(subprocess.TimeoutExpired):
         process.wait(timeout=seconds)
 
@@ -102,7 +102,7 @@ def keeping_digest(number):
 
 
 def age(folder):
-    """As if nobody had looked at the folder for long."""
+    """Make the folder look unused for a long time."""
     for path in folder.iterdir():
         when = time.time() - 2.0 * STALE_S
         os.utime(path, (when, when))
@@ -119,7 +119,7 @@ def test_killed_writers_leave_whole_files_and_right_answers(tmp_path):
         answers += end(process, killed=True)
         workers.append(start(KEEPING, tmp_path, 40 * number))  # others may be there already
     for number in range(KILLS_IN_WRITING):
-        process = start(STOPPING, tmp_path, 90_000 + number)  # nobody else comes so far
+        process = start(STOPPING, tmp_path, 90_000 + number)  # no other process comes so far
         assert process.stdout.readline().split() == [b"written"]
         answers += end(process, killed=True)
     for process in workers:
@@ -148,7 +148,7 @@ def test_killed_writers_leave_whole_files_and_right_answers(tmp_path):
 
 
 @pytest.mark.slow
-def test_reductions_are_the_uncached_ones_whoever_was_killed(tmp_path):
+def test_reductions_equal_the_uncached_ones_after_any_kill(tmp_path):
     chance = random.Random(4)
     thicknesses_m = [5e-3 + 1e-4 * k for k in range(5)]
     plates = [

@@ -25,13 +25,13 @@ from daq_service.catalogue.rows import CommandRow
 from daq_service.commands.registry import KINDS
 
 
-def test_each_kind_that_only_stores_is_looked_at():
+def test_each_kind_that_only_stores_is_checked():
     assert {kind for kind, order in KINDS.items() if order.rows_only} == EVENT_OF.keys()
 
 
 @pytest.fixture(scope="module")
 def fast():
-    """A folder in memory, where there is one: hundreds of states are laid out and synced."""
+    """Return a folder in memory if there is one: hundreds of states are written and synced."""
     memory = Path("/dev/shm")
     with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
         yield Path(folder)
@@ -39,7 +39,7 @@ def fast():
 
 @pytest.fixture(scope="module")
 def calls(fast):
-    """Every call on the disk while each kind is given and carried out, and marks of what was answered."""
+    """Return every disk call while each kind of command is given and executed, with marks of the answers."""
     folder, trace = fast / "data", fast / "trace"
     folder.mkdir()
     here = Path(__file__).parents[1]
@@ -61,11 +61,13 @@ def calls(fast):
     [
         # What is durable changes with each sync: some six times an order, of which each kind shows others.
         pytest.param(("nothing",), 4, id="some syncs"),
-        # Pages lost in the midst of lines that the history was given at once are damage: `verify` tells it.
+        # Pages lost within lines written to the history at once are corruption: `verify` reports it.
         pytest.param(("kill", "nothing", "torn"), 1, id="each call", marks=pytest.mark.slow),
     ],
 )
-def test_a_crash_behind_a_call_leaves_each_order_done_once_or_refused(calls, fast, models, every, capsys):
+def test_a_crash_after_a_call_leaves_each_command_executed_once_or_rejected(
+    calls, fast, models, every, capsys
+):
     count, became = 0, Counter()
     promised = (found for found in states(calls, models=models) if found[2])
     for name, state, answered in itertools.islice(promised, 0, None, every):
@@ -102,7 +104,7 @@ class Processes:
         self._running: dict[str, subprocess.Popen[str]] = {}
 
     def start(self) -> None:
-        """Start what is not running; wait until the service listens."""
+        """Start missing processes; wait until the service listens."""
         words = {
             "recorder": ["record", *self._common, "--linger"],
             "web": ["serve", *self._common, "--port", "0"],
@@ -113,14 +115,14 @@ class Processes:
             cause = ["--restart-reason", "was killed"] if self.kills[name] else []
             output = subprocess.PIPE if name == "web" else subprocess.DEVNULL
             program = [sys.executable, "-m", "daq_service.cli", *arguments, *cause]
-            # Their logs tell of trouble; what Python says of locks that a kill left is not ours.
+            # Their logs report faults; what Python says of locks that a kill left is not ours.
             process = subprocess.Popen(program, stdout=output, stderr=subprocess.DEVNULL, text=True)
             self._running[name] = process
             if process.stdout is not None:
                 with process.stdout:
-                    said = process.stdout.readline()
-                assert said.startswith("dashboard: "), said
-                self.url = said.split()[1]
+                    first_line = process.stdout.readline()
+                assert first_line.startswith("dashboard: "), first_line
+                self.url = first_line.split()[1]
 
     def kill(self, *names: str) -> None:
         for name in names:
@@ -130,7 +132,7 @@ class Processes:
             ended(self._running[name], "the kill")
 
     def stop(self) -> None:
-        """Let the recorder answer what is open, and end."""
+        """Let the recorder answer open commands and end."""
         for process in reversed(self._running.values()):
             process.terminate()
             ended(process, "the end")
@@ -153,10 +155,10 @@ class Client(threading.Thread):
                 self._give(*self._order(step))
                 step = next(steps)
             except httpx.TransportError:
-                self.stop.wait(0.05)  # nobody listens there now
+                self.stop.wait(0.05)  # nothing listens there now
 
     def _order(self, step: int):
-        """The next one of a round in which each is possible after those before it."""
+        """Send the next command of a round in which each is possible after those before it."""
         if 3 <= step < 8:
             return alarm_orders(self._newest("alarms?position=C&kind=retired&active=true"))[step - 3]
         return {
@@ -198,7 +200,7 @@ class Client(threading.Thread):
 @pytest.mark.slow
 @pytest.mark.timeout(3600)
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-def test_processes_killed_while_orders_come_do_each_once_or_not_at_all(tmp_path, capsys):
+def test_processes_killed_while_commands_arrive_execute_each_at_most_once(tmp_path, capsys):
     moments, config, pause = random.Random(1), tmp_path / "test.json", threading.Event()
     schedule = {**SMALL["schedule"], "phases": [{"until_h": 2000.0, "interval_h": 0.5}]}
     settings = {**SMALL, "schedule": schedule, "clock": {"pace_h_per_s": 2.0}}

@@ -27,19 +27,19 @@ PACE_H_PER_S = 2.0
 
 
 def schedule_for(kills):
-    """Two sets for each kill."""
+    """Return a schedule of two sets for each kill."""
     return {**SMALL["schedule"], "phases": [{"until_h": 1.0 * kills, "interval_h": 0.5}]}
 
 
-def supervise(config, folder, told):
-    """Child: what ``solimon run`` does; each acknowledged shot is told at once, the end with a None."""
+def supervise(config, folder, acknowledged):
+    """Run the supervisor of ``solimon run`` in a child; send each acknowledged shot, None at the end."""
     prepare_data_folder(folder)
     (plan,) = child_plans(config, folder, port=None, web=False, linger=False)
     plan = replace(plan, arguments=[*plan.arguments, "--log-json"])
 
     def on_message(child, message):
         if message["event"] in ("shot_acknowledged", "finished"):
-            told.send(message.get("shot_id"))
+            acknowledged.send(message.get("shot_id"))
 
     with stop_on_signals() as stop:
         code = Supervisor([plan], folder, on_message=on_message, restart_delays_s=(0.0,)).run(
@@ -49,12 +49,12 @@ def supervise(config, folder, told):
 
 
 def another_owner(folder, before):
-    """Process of the recorder that runs on a folder; None while there is none but the one before."""
-    told = re.match(r"process (\d+)", lock_text(folder, LOCK_FILE)) if is_owned(folder) else None
-    return int(told[1]) if told and int(told[1]) != before else None
+    """Return the process id of the recorder on a folder; None if there is no other than ``before``."""
+    owner = re.match(r"process (\d+)", lock_text(folder, LOCK_FILE)) if is_owned(folder) else None
+    return int(owner[1]) if owner and int(owner[1]) != before else None
 
 
-@pytest.mark.timeout(3600)  # 8 kills: half a minute on an idle machine, two beside eight others
+@pytest.mark.timeout(3600)  # 8 kills: half a minute on an idle machine, two next to eight others
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
 @pytest.mark.parametrize("kills", [8, pytest.param(200, marks=pytest.mark.slow)])
 def test_kills_at_any_moment_lose_no_acknowledged_shot_and_change_no_row(tmp_path, kills):

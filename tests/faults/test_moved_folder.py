@@ -1,4 +1,4 @@
-"""A data folder that is moved away under a running test and comes back: nothing lost, nothing made anew."""
+"""A data folder that is moved away under a running test and comes back: nothing is lost."""
 
 import logging
 import shutil
@@ -15,7 +15,7 @@ MOVED_IN_SET = 2
 @pytest.mark.parametrize("impostor", [False, True], ids=["gone", "another one in its place"])
 def test_sets_wait_for_the_tests_own_folder(tmp_path, impostor):
     undisturbed, data, elsewhere = (tmp_path / name for name in ("undisturbed", "data", "elsewhere"))
-    told = []
+    messages = []
 
     def move_away(key, acquired):
         if (key.set_index, key.shot_index, key.position) == (MOVED_IN_SET, 0, "B"):
@@ -29,7 +29,7 @@ def test_sets_wait_for_the_tests_own_folder(tmp_path, impostor):
 
         def emit(self, record):
             if "not stored" in record.getMessage() and elsewhere.exists():
-                told.append(record.getMessage())
+                messages.append(record.getMessage())
                 assert [path.name for path in data.glob("*/*")] == []
                 shutil.rmtree(data, ignore_errors=True)
                 elsewhere.rename(data)
@@ -42,7 +42,7 @@ def test_sets_wait_for_the_tests_own_folder(tmp_path, impostor):
         assert run(small_settings(schedule=SHORT), data, rig=disturbed_rig(move_away))
     finally:
         log.removeHandler(reading)
-    assert ["not the folder of this test" in message for message in told] == [impostor]
+    assert ["not the folder of this test" in message for message in messages] == [impostor]
     expected, found = rows_of(undisturbed), rows_of(data)
     alarms = [row for row in found.pop("alarms") if row not in expected["alarms"]]
     assert [(row.kind, row.state) for row in alarms] == [("storage_unavailable", "returned_unacknowledged")]

@@ -32,7 +32,7 @@ from simulator.doubles.transports.library import client_environment
 pytestmark = rig.needs_niscope
 
 DESCRIBED = rig.description(repetition_hz=20e3)
-"""A pulser that nobody has to wait for."""
+"""A pulser without waiting time."""
 
 HARDWARE_FAILURE = -1074118654
 ATTEMPTS = 4
@@ -42,7 +42,7 @@ PHASES = ("open", "acquire", "calibrate", "close")
 
 
 def recorded_calls():
-    """Functions called in each phase of a life without faults, in order."""
+    """Return the functions called in each phase without faults, in order."""
     if rig.why_no_niscope():
         return {}
     with rig.met_brain(DESCRIBED) as brain:
@@ -63,7 +63,7 @@ def recorded_calls():
 
 
 def cases(*wanted):
-    """Each function of each phase at its first call; in an acquisition at every call."""
+    """Return each function of each phase at its first call; in an acquisition at every call."""
     found = []
     for phase, called in recorded_calls().items():
         if phase not in wanted:
@@ -96,7 +96,7 @@ def test_the_list_of_calls_covers_the_driver_s_life():
 
 
 def is_right(echo, described):
-    """Tell whether a record is the twin's: counts and volts."""
+    """Return whether counts and volts of a record equal those of the twin."""
     codes = rig.codes_of_the_twin(described, rig.key())
     right_counts = np.array_equal(echo.waveform.counts, 64 * codes.astype(np.int32))
     return right_counts and np.array_equal(
@@ -110,7 +110,7 @@ def take(unit, brain):
 
 
 def live(brain, phase, struck):
-    """Go through the driver's life up to a phase; `struck` orders the fault as the phase begins.
+    """Run the driver up to a phase; `struck` injects the fault at the start of the phase.
 
     Returns the unit's error in that phase, or None, and every record taken after it, errors in between
     counted.
@@ -159,7 +159,7 @@ def brain():
 
 
 def works_again(brain):
-    """Nothing is left open, and a fresh driver takes the right record."""
+    """Check that nothing is left open and a new driver takes the right record."""
     brain.faults.clear()
     assert brain.record()["sessions"] == []
     with open_niscope(rig.parameters()) as unit:
@@ -221,7 +221,7 @@ def test_a_process_that_dies_is_a_lost_connection_and_a_new_one_is_found(phase, 
 
 @contextmanager
 def dying_brain(described):
-    """Run a double whose death is what a client sees of one: every connection closed at once."""
+    """Run a double whose death closes every client connection at once."""
     connections = []
 
     class Mortal(rig.WireServer):
@@ -255,7 +255,7 @@ def test_a_driver_finds_the_double_that_was_started_again():
 
 
 def live_until_it_hangs(environment):
-    """Child: open the board, take a record, calibrate; some call of it never returns."""
+    """Open the board, take a record and calibrate in a child; one call never returns."""
     os.environ.update(environment)
     rig.preload()
     with open_niscope(rig.parameters()) as unit:
@@ -278,7 +278,7 @@ def test_a_hung_call_ends_with_its_process_and_leaves_the_board_free(brain, func
     child.kill()
     child.join()
     assert child.exitcode == -signal.SIGKILL, "it ended by itself"
-    # First the double notices that the process is gone, then the hung call may go on: nobody hears it.
+    # First the double notices that the process is gone, then the hung call may continue without a client.
     until(lambda: not brain.record()["clients"], "the double noticed that the process is gone")
     brain.faults.release()
     assert works_again(brain)
@@ -319,9 +319,7 @@ INVALID_VALUE = -1074135024
         ("niScope_CalFetchTemperature", "calibration_temperature_c", math.nan),
     ],
 )
-def test_a_board_that_does_not_say_its_calibration_is_used_all_the_same(
-    brain, function, name, unknown, caplog
-):
+def test_a_board_without_calibration_information_is_used(brain, function, name, unknown, caplog):
     brain.faults.inject(function, "error", code=INVALID_VALUE)
     with open_niscope(rig.parameters()) as unit:
         echo = take(unit, brain)

@@ -1,4 +1,4 @@
-"""A disk that refuses a call, some, or all until somebody frees it: it costs time, and nobody's hands."""
+"""A disk that refuses a call, some, or all until it is freed: it costs time, and no manual work."""
 
 import errno
 import itertools
@@ -24,7 +24,7 @@ REPORTED_WITHIN_S = 5.1
 """Five seconds and a pause between two tries."""
 RECORDS = 10 * SETS
 OF_FEW_SETS = "not_judged"
-"""Alarm of a baseline without limits, which stands whatever is refused."""
+"""Alarm of a baseline without limits, which is active for any refusal."""
 SHARES = 2
 """Of the whole matrix, followed side by side: half an hour on two idle cores."""
 CHANGING = re.compile(r"[0-9a-f]{32}|(?<=set_)\d+_\d+T\d+Z|\d{6}(?=\.)|(?<=\.)\d+(?=\.tmp)|(?<=/)[A-D](?=\.)")
@@ -49,7 +49,7 @@ SOME = [
 
 @pytest.fixture(scope="module")
 def followed(tmp_path_factory):
-    """Return what becomes of each case; one program forks all of them."""
+    """Return the outcome of each case; one program forks all of them."""
     library = build(tmp_path_factory.mktemp("library"))
 
     def follow(cases, folder):
@@ -70,25 +70,26 @@ def followed(tmp_path_factory):
     return follow
 
 
-def wrong(told):
-    """Everything that a refusal may not cost; empty: nothing."""
-    if "fault" in told:
-        return told["fault"]
+def wrong(outcome):
+    """Return every loss that a refusal may not cause; empty if there is none."""
+    if "fault" in outcome:
+        return outcome["fault"]
     checks = {
-        "the recorder ended in the midst": not any(end.startswith("in") for end in told["ends"]),
-        "the test is not finished": told["finished"],
-        "acknowledged shots are lost": not told["lost"],
-        "sets were not struck": {(*row,) for row in told["sets"]} == {(n, "done", None) for n in range(SETS)},
-        "shots are lost or double": {told["shots"], told["keys"], told["acknowledged"]} == {RECORDS},
-        "something is left over": not told["left"],
+        "the recorder ended in the midst": not any(end.startswith("in") for end in outcome["ends"]),
+        "the test is not finished": outcome["finished"],
+        "acknowledged shots are lost": not outcome["lost"],
+        "sets were not struck": {(*row,) for row in outcome["sets"]}
+        == {(n, "done", None) for n in range(SETS)},
+        "shots are lost or double": {outcome["shots"], outcome["keys"], outcome["acknowledged"]} == {RECORDS},
+        "something is left over": not outcome["left"],
         "the alarm stays": all(
             state == ("unacknowledged" if kind == "data_damaged" else "returned_unacknowledged")
-            for kind, state in told["alarms"]
+            for kind, state in outcome["alarms"]
             if kind != OF_FEW_SETS
         ),
-        "it is not set aside": told["set_aside"] == [Path(DAMAGED).name] * bool(told.get("damaged")),
-        "it was told late": told["lasted_s"] < REPORTED_WITHIN_S
-        or (told["told_after_s"] is not None and told["told_after_s"] <= REPORTED_WITHIN_S),
+        "it is not set aside": outcome["set_aside"] == [Path(DAMAGED).name] * bool(outcome.get("damaged")),
+        "it was told late": outcome["lasted_s"] < REPORTED_WITHIN_S
+        or (outcome["told_after_s"] is not None and outcome["told_after_s"] <= REPORTED_WITHIN_S),
     }
     return [what for what, is_right in checks.items() if not is_right]
 
@@ -96,18 +97,18 @@ def wrong(told):
 @pytest.mark.timeout(900)  # half a minute on an idle machine
 def test_some_refusals_cost_time_only(followed, tmp_path):
     found = followed(SOME, tmp_path)
-    assert [wrong(told) for told in found] == [[]] * len(SOME), found
-    assert all(told["refusals"] for told in found)
-    assert [case for case, told in zip(SOME, found, strict=True) if not is_reported(told)] == []
+    assert [wrong(outcome) for outcome in found] == [[]] * len(SOME), found
+    assert all(outcome["refusals"] for outcome in found)
+    assert [case for case, outcome in zip(SOME, found, strict=True) if not is_reported(outcome)] == []
     by_journal, by_catalogue, locked, moved = found[0], found[1], found[-2], found[-1]
-    for told in (by_journal, by_catalogue, locked, moved):
-        assert told["told_after_s"] <= REPORTED_WITHIN_S
-        kinds = [kind for kind, _ in told["alarms"] if kind != OF_FEW_SETS]
+    for outcome in (by_journal, by_catalogue, locked, moved):
+        assert outcome["told_after_s"] <= REPORTED_WITHIN_S
+        kinds = [kind for kind, _ in outcome["alarms"] if kind != OF_FEW_SETS]
         assert kinds == ["storage_unavailable"]
 
 
-def is_reported(told):
-    return told["told_after_s"] is not None and told["told_after_s"] <= REPORTED_WITHIN_S
+def is_reported(outcome):
+    return outcome["told_after_s"] is not None and outcome["told_after_s"] <= REPORTED_WITHIN_S
 
 
 @pytest.mark.slow
@@ -120,8 +121,8 @@ def test_each_refused_opening_is_reported_also_where_a_second_try_helps(followed
         for count in COUNTS
     ]
     found = followed(cases, tmp_path)
-    assert [case_of(told) for told in found if told["refusals"] and not is_reported(told)] == []
-    assert [(case_of(told), faults) for told in found if (faults := wrong(told))] == []
+    assert [case_of(outcome) for outcome in found if outcome["refusals"] and not is_reported(outcome)] == []
+    assert [(case_of(outcome), faults) for outcome in found if (faults := wrong(outcome))] == []
 
 
 @pytest.mark.slow
@@ -149,17 +150,17 @@ def test_every_refusal_costs_time_only(followed, tmp_path, capsys):
         shares = pool.map(lambda n: followed(cases[n::SHARES], tmp_path / f"cases {n}"), range(SHARES))
         became = list(itertools.chain.from_iterable(shares))
     # How often a file is synced differs from run to run: the last call of one may not come in another.
-    not_met = [told for told in became if not told.get("refusals", 1)]
-    faults = {json.dumps(case_of(told)): found for told in became if (found := wrong(told))}
+    not_met = [outcome for outcome in became if not outcome.get("refusals", 1)]
+    faults = {json.dumps(case_of(outcome)): found for outcome in became if (found := wrong(outcome))}
     with capsys.disabled():
         print(
             f"\n{len(kinds)} kinds of calls, {len(cases)} refusals of which {len(not_met)} did not come, "
             f"{len(faults)} not outlived"
         )
     assert faults == {}
-    assert all(told["first"] > 0 for told in not_met)
+    assert all(outcome["first"] > 0 for outcome in not_met)
     assert len(not_met) <= len(cases) // 20
 
 
-def case_of(told):
-    return {name: told[name] for name in ("call", "files", "first", "count", "errno")}
+def case_of(outcome):
+    return {name: outcome[name] for name in ("call", "files", "first", "count", "errno")}

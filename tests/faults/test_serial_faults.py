@@ -40,7 +40,7 @@ def rig(tmp_path):
 
 @pytest.fixture
 def energised(rig):
-    """A rig whose supply was switched on by order; no fault may add another switching on."""
+    """Return a rig whose supply was switched on by command; no fault may switch it on again."""
     rig.supply.energise(10.0, 1.0)
     yield rig
     on = [cause for on, cause in rig.switched() if on]
@@ -81,7 +81,7 @@ def test_a_supply_unplugged_while_it_is_asked_is_lost(energised):
     assert rig.supply.read(TIMEOUT_S).output_on
 
 
-def test_what_comes_back_without_power_stays_off(energised):
+def test_a_supply_that_returns_without_power_stays_off(energised):
     rig = energised
     rig.instruments.brown_out()
     with pytest.raises(ConnectionLostError):
@@ -99,11 +99,11 @@ def test_attempts_back_off_on_the_callers_clock(rig):
             rig.supply.read(TIMEOUT_S)
         waited_s = 0.0
         while True:
-            with pytest.raises(ConnectionLostError) as told:
+            with pytest.raises(ConnectionLostError) as refusal:
                 rig.supply.read(TIMEOUT_S)
-            if "next attempt in" not in str(told.value):
+            if "next attempt in" not in str(refusal.value):
                 pytest.fail("an attempt before its time")
-            left_s = float(str(told.value).rpartition("in ")[2].removesuffix(" s"))
+            left_s = float(str(refusal.value).rpartition("in ")[2].removesuffix(" s"))
             rig.clock.advance(left_s * 0.999)  # printed to three digits
             waited_s += left_s * 0.999
             if left_s < 0.01:
@@ -116,7 +116,7 @@ def test_attempts_back_off_on_the_callers_clock(rig):
     assert not rig.supply.read(TIMEOUT_S).output_on
 
 
-def test_an_order_does_not_wait_for_the_next_attempt(rig):
+def test_a_switch_off_command_does_not_wait_for_the_next_attempt(rig):
     rig.instruments.supply_link.unplug()
     with pytest.raises(ConnectionLostError):
         rig.supply.read(TIMEOUT_S)
@@ -127,7 +127,7 @@ def test_an_order_does_not_wait_for_the_next_attempt(rig):
     assert not rig.supply.read(TIMEOUT_S).output_on
 
 
-def test_an_order_to_switch_on_does_not_wait_either(rig):
+def test_a_command_to_switch_on_does_not_wait_either(rig):
     rig.instruments.supply_link.unplug()
     with pytest.raises(ConnectionLostError):
         rig.supply.read(TIMEOUT_S)
@@ -167,7 +167,7 @@ def test_a_silent_supply_is_lost_in_the_time_given(energised):
     assert 0.1 <= LOOK_S * next(looks) < 0.2
 
 
-def test_a_supply_that_stays_silent_is_looked_for_behind_its_port_anew(energised, tmp_path):
+def test_the_port_of_a_silent_supply_is_reopened(energised, tmp_path):
     rig = energised
     link = rig.instruments.supply_link
     link.inject(silent=True)
@@ -224,7 +224,7 @@ def test_a_late_reply_answers_no_later_question(energised, late):
         assert reading.current_a == pytest.approx(8.5 / 40.0, abs=1e-6)  # printed digits
 
 
-def test_what_nobody_asked_for_answers_nothing(energised):
+def test_an_unsolicited_reply_answers_no_query(energised):
     rig = energised
     rig.supply.read(TIMEOUT_S)
     rig.instruments.supply_link.chatter(b"+9.990000E+00\n")
@@ -233,7 +233,7 @@ def test_what_nobody_asked_for_answers_nothing(energised):
 
 
 @pytest.mark.parametrize(
-    ("said", "complaint"),
+    ("answer_bytes", "complaint"),
     [
         (GARBAGE, "no text"),
         (b"\n", "no text"),
@@ -245,30 +245,30 @@ def test_what_nobody_asked_for_answers_nothing(energised):
         (b"x" * 1000, "without a terminator"),
     ],
 )
-def test_garbage_is_refused_with_its_bytes_and_the_next_reading_is_right(energised, said, complaint):
+def test_garbage_is_refused_with_its_bytes_and_the_next_reading_is_right(energised, answer_bytes, complaint):
     rig = energised
-    rig.instruments.supply_link.inject(garbage=1, garbage_bytes=said)
+    rig.instruments.supply_link.inject(garbage=1, garbage_bytes=answer_bytes)
     with pytest.raises(ConnectionLostError, match=complaint) as error:
         rig.supply.read(TIMEOUT_S)
-    shown = repr(said.strip(b"\r\n").split(b"\n")[0][:SHOWN_BYTES])[1:]
+    shown = repr(answer_bytes.strip(b"\r\n").split(b"\n")[0][:SHOWN_BYTES])[1:]
     assert shown.strip("'") in str(error.value)
     rig.instruments.supply_link.heard()  # asked once the clock knows that the rest is withheld
     assert rig.supply.read(TIMEOUT_S).voltage_v == 10.0
 
 
-def test_a_flag_that_is_no_flag_is_refused(energised):
+def test_an_unknown_flag_is_refused(energised):
     rig = energised
     answer = rig.instruments.supply.answer
-    rig.instruments.supply_link.answer = lambda said: "2" if said == "OUTP?" else answer(said)
+    rig.instruments.supply_link.answer = lambda command: "2" if command == "OUTP?" else answer(command)
     with pytest.raises(ConnectionLostError, match="expected 0 or 1"):
         rig.supply.read(TIMEOUT_S)
 
 
-def test_an_instrument_that_never_stops_talking_is_given_up(energised):
+def test_an_instrument_that_sends_endlessly_is_given_up(energised):
     rig = energised
     rig.supply.close()
     answer = rig.instruments.supply.answer
-    rig.instruments.supply_link.answer = lambda said: "\n".join(["+1.0E+00"] * 100) + answer(said)
+    rig.instruments.supply_link.answer = lambda command: "\n".join(["+1.0E+00"] * 100) + answer(command)
     with pytest.raises(ConnectionLostError, match=r"answered b'\+1\.0E\+00"):
         rig.supply.read(TIMEOUT_S)
 
@@ -276,7 +276,7 @@ def test_an_instrument_that_never_stops_talking_is_given_up(energised):
 # Who is there --------------------------------------------------------------------------------------
 
 
-def test_another_instrument_is_refused_and_sent_nothing_but_the_question(rig):
+def test_another_instrument_is_refused_and_receives_only_the_identity_query(rig):
     change_supply(rig, identity="OTHER,THING,7,2.0")
     for attempt in (rig.supply.identity, lambda: rig.supply.read(TIMEOUT_S)):
         with pytest.raises(ConfigurationError, match=r"'OTHER,THING,7,2.0'"):
@@ -309,13 +309,13 @@ def test_an_instrument_that_was_exchanged_while_unplugged_is_refused(energised):
     assert rig.supply.read(TIMEOUT_S).output_on
 
 
-def test_a_second_owner_is_told_the_port_and_who_has_it(rig):
+def test_a_second_owner_gets_an_error_with_the_port_and_its_owner(rig):
     rig.supply.read(TIMEOUT_S)
     second = rig.new_supply()
     with pytest.raises(BusyError) as error:
         second.read(TIMEOUT_S)
     assert str(rig.instruments.supply_link.path) in str(error.value)
-    if sys.platform == "linux":  # elsewhere no file tells who has a port open
+    if sys.platform == "linux":  # elsewhere no file shows who has a port open
         assert f"process {os.getpid()}" in str(error.value)
     rig.supply.read(TIMEOUT_S)
     rig.supply.close()
@@ -327,7 +327,7 @@ def test_a_second_owner_is_told_the_port_and_who_has_it(rig):
 # Orders --------------------------------------------------------------------------------------------
 
 
-def test_beyond_the_caps_nothing_is_sent(rig):
+def test_values_above_the_caps_are_not_sent(rig):
     with pytest.raises(ConfigurationError, match="voltage_cap_v = 12"):
         rig.supply.energise(12.1, 1.0)
     with pytest.raises(ConfigurationError, match="current_cap_a = 2"):
@@ -335,7 +335,7 @@ def test_beyond_the_caps_nothing_is_sent(rig):
     assert rig.heard() == []
 
 
-def test_while_an_order_is_set_the_output_is_off(rig):
+def test_the_output_is_off_while_a_command_is_set(rig):
     rig.supply.energise(10.0, 1.0)
     rig.supply.energise(5.0, 0.5)
     assert rig.switched() == [(True, "command"), (False, "command"), (True, "command")]
@@ -356,7 +356,7 @@ def test_a_supply_that_refuses_what_is_set_stays_off(tmp_path):
         assert rig.instruments.supply_link.do(lambda: rig.instruments.supply.answer("SYST:ERR?"))[0:2] == "+0"
 
 
-def test_old_errors_are_not_the_orders_fault(rig):
+def test_earlier_errors_are_not_attributed_to_the_command(rig):
     link = rig.instruments.supply_link
     link.do(lambda: [rig.instruments.supply.answer("NONSENSE") for _ in range(5)])
     rig.supply.energise(10.0, 1.0)
@@ -365,14 +365,16 @@ def test_old_errors_are_not_the_orders_fault(rig):
 
 def test_an_error_queue_without_an_end_is_refused(rig):
     answer = rig.instruments.supply.answer
-    rig.instruments.supply_link.answer = lambda said: '-350,"full"' if said == "SYST:ERR?" else answer(said)
+    rig.instruments.supply_link.answer = lambda command: (
+        '-350,"full"' if command == "SYST:ERR?" else answer(command)
+    )
     with pytest.raises(ConnectionLostError, match=r"does not end.*the output is off"):
         rig.supply.energise(10.0, 1.0)
     assert rig.switched() == []
 
 
 @pytest.mark.parametrize("lost", range(1, 18))
-def test_an_order_that_loses_any_reply_leaves_the_output_off_or_says_it_does_not_know(rig, lost):
+def test_a_command_with_a_lost_reply_leaves_the_output_off_or_reports_unknown(rig, lost):
     """Silence from each reply on in turn: off, or an error that says unknown; never on and believed."""
     answered = iter(range(1, 1000))
     link, answer = rig.instruments.supply_link, rig.instruments.supply.answer
@@ -395,7 +397,7 @@ def test_an_order_that_loses_any_reply_leaves_the_output_off_or_says_it_does_not
 
 
 @pytest.mark.parametrize("garbled", range(1, 14))
-def test_an_order_that_gets_one_wrong_reply_leaves_the_output_off(rig, garbled):
+def test_a_command_with_one_wrong_reply_leaves_the_output_off(rig, garbled):
     answered = iter(range(1, 1000))
     link, answer = rig.instruments.supply_link, rig.instruments.supply.answer
 
@@ -416,16 +418,16 @@ def test_an_order_that_gets_one_wrong_reply_leaves_the_output_off(rig, garbled):
 def test_a_supply_that_gives_more_than_asked_is_switched_off(rig):
     answer = rig.instruments.supply.answer
     link = rig.instruments.supply_link
-    link.answer = lambda said: "+1.200000E+01" if said == "MEAS:VOLT?" else answer(said)
+    link.answer = lambda command: "+1.200000E+01" if command == "MEAS:VOLT?" else answer(command)
     with pytest.raises(ConfigurationError, match=r"gives 12 V; at most 10\.05 V.*the output is off"):
         rig.supply.energise(10.0, 1.0)
-    link.answer = lambda said: "+2.000000E+00" if said == "MEAS:CURR?" else answer(said)
+    link.answer = lambda command: "+2.000000E+00" if command == "MEAS:CURR?" else answer(command)
     with pytest.raises(ConfigurationError, match=r"gives 2 A; at most 1\.02 A.*the output is off"):
         rig.supply.energise(10.0, 1.0)
     assert not rig.instruments.supply.on
 
 
-def test_at_its_limit_it_is_no_fault(rig):
+def test_a_supply_in_current_limit_is_not_a_fault(rig):
     change_supply(rig, cell=Cell(resistance_ohm=4.0))
     rig.supply.energise(10.0, 1.0)
     reading = rig.supply.read(TIMEOUT_S)
@@ -435,7 +437,7 @@ def test_at_its_limit_it_is_no_fault(rig):
 
 
 @pytest.mark.parametrize(("protection", "asked"), [("VOLT", "VOLT:PROT:TRIP?"), ("CURR", "CURR:PROT:TRIP?")])
-def test_a_tripped_protection_is_told_and_not_overruled(energised, protection, asked):
+def test_a_tripped_protection_is_reported_and_not_overruled(energised, protection, asked):
     rig = energised
     rig.instruments.supply_link.do(lambda: rig.instruments.supply.trip(protection))
     assert not rig.supply.read(TIMEOUT_S).output_on
@@ -447,7 +449,7 @@ def test_a_tripped_protection_is_told_and_not_overruled(energised, protection, a
     assert all(command.endswith("?") for command in rig.heard()[before:]), "it was only asked"
 
 
-def test_a_supply_that_trips_as_it_is_switched_on_says_so(rig):
+def test_a_supply_that_trips_when_switched_on_is_reported(rig):
     supply = rig.instruments.supply
     answer = supply.answer
 
@@ -465,7 +467,7 @@ def test_a_supply_that_trips_as_it_is_switched_on_says_so(rig):
 def test_a_supply_that_does_not_switch_off_is_not_safe(energised):
     rig = energised
     answer = rig.instruments.supply.answer
-    rig.instruments.supply_link.answer = lambda said: None if said == "OUTP OFF" else answer(said)
+    rig.instruments.supply_link.answer = lambda command: None if command == "OUTP OFF" else answer(command)
     with pytest.raises(ConnectionLostError, match=r"unknown.*says it is on"):
         rig.supply.make_safe()
 
@@ -478,15 +480,18 @@ def test_setup_commands_follow_every_check_of_the_name(tmp_path):
         with pytest.raises(ConnectionLostError):
             rig.supply.read(TIMEOUT_S)
         rig.supply.read(TIMEOUT_S)
-        assert [said for said in rig.heard() if said in {"*IDN?", "SYST:REM"}] == ["*IDN?", "SYST:REM"] * 2
+        assert [command for command in rig.heard() if command in {"*IDN?", "SYST:REM"}] == [
+            "*IDN?",
+            "SYST:REM",
+        ] * 2
 
 
-def test_a_supply_without_protections_is_not_asked_for_them(tmp_path):
+def test_a_supply_without_protections_is_not_queried_for_them(tmp_path):
     with SerialRig(tmp_path, protection_queries=()) as rig:
         rig.supply.energise(10.0, 1.0)
         rig.supply.make_safe()
         rig.supply.read(TIMEOUT_S)
-        assert not [said for said in rig.heard() if "PROT" in said]
+        assert not [command for command in rig.heard() if "PROT" in command]
 
 
 # The climate probe ---------------------------------------------------------------------------------
@@ -542,7 +547,7 @@ def test_a_port_is_found_by_the_serial_number_of_its_adapter(rig, monkeypatch):
         supply_on("serial:FT222", rig).identity()
 
 
-def test_what_is_no_serial_port_is_refused(rig, tmp_path):
+def test_a_file_without_a_serial_port_is_refused(rig, tmp_path):
     plain = tmp_path / "notes.txt"
     plain.write_text("", encoding="utf-8")
     for path in ("/dev/null", str(plain), str(tmp_path)):
@@ -550,7 +555,7 @@ def test_what_is_no_serial_port_is_refused(rig, tmp_path):
             supply_on(path, rig).identity()
 
 
-def test_no_right_to_a_port_is_told_with_the_group(rig, monkeypatch):
+def test_a_missing_permission_for_a_port_is_reported_with_the_group(rig, monkeypatch):
     def forbidden(**_):
         raise serial.SerialException(13, "could not open port")
 
@@ -579,7 +584,7 @@ VENDOR_ERRORS = [
 
 @pytest.mark.parametrize("call", ["reset_input_buffer", "write", "read"])
 @pytest.mark.parametrize("raised", VENDOR_ERRORS, ids=lambda error: type(error).__name__)
-def test_no_error_of_a_port_gets_past_the_line(energised, call, raised, monkeypatch):
+def test_every_port_error_is_translated_by_the_line(energised, call, raised, monkeypatch):
     """Each call of pyserial fails in each way seen: the type depends on where an unplugging strikes."""
     rig = energised
 
@@ -588,9 +593,9 @@ def test_no_error_of_a_port_gets_past_the_line(energised, call, raised, monkeypa
 
     with monkeypatch.context() as patched:
         patched.setattr(serial.Serial, call, fails)
-        with pytest.raises(ConnectionLostError) as told:
+        with pytest.raises(ConnectionLostError) as refusal:
             rig.supply.read(TIMEOUT_S)
-    assert told.value.__cause__ is raised
+    assert refusal.value.__cause__ is raised
     assert rig.supply.read(TIMEOUT_S).output_on
 
 
@@ -629,7 +634,7 @@ def child():
             ended(process, "the doubles left")
 
 
-def test_the_doubles_run_on_their_own_and_take_orders(rig):
+def test_the_doubles_run_as_a_process_and_take_commands(rig):
     with child() as (process, ready, order):
         assert ready["event"] == "ready"
         supply = supply_on(ready["supply"], rig, reply_timeout_s=60.0)

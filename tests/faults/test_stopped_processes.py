@@ -82,7 +82,7 @@ class Processes:
         return process
 
     def alarm(self, kind: str) -> str:
-        """State of its newest alarm; empty: none was raised yet."""
+        """Return the state of its newest alarm; empty if none was raised."""
         try:
             with open_catalogue(self.data) as catalogue:
                 rows = catalogue.rows(AlarmRow, kind=kind)
@@ -120,7 +120,7 @@ def test(tmp_path: Path, receiver: HttpReceiver) -> Iterator[Processes]:
 
 
 def news(receiver: HttpReceiver) -> list[tuple[str, str]]:
-    """Kind and change of each alarm in the next message."""
+    """Return kind and change of each alarm in the next message."""
     return [(item["kind"], item["change"]) for item in receiver.next().message["alarms"]]
 
 

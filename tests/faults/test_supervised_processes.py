@@ -41,7 +41,7 @@ def supervise(
     stay: bool = False,
     **times: float,
 ) -> tuple[int, list[Any]]:
-    """Run one child whose program is ``script``; exit code and the messages of the child but its beats."""
+    """Run one child whose program is ``script``; return exit code and messages without heartbeats."""
     program = folder / "child.py"
     program.write_text(f"{PRELUDE}{script}\ntell('ends', code=0)\n", encoding="utf-8")
     messages: list[Any] = []
@@ -65,7 +65,7 @@ def supervise(
     return code, messages
 
 
-def test_a_crash_is_mended_by_a_restart_that_knows_the_cause(tmp_path: Path) -> None:
+def test_a_restart_repairs_a_crash_and_records_its_cause(tmp_path: Path) -> None:
     script = """
 tell("started", cause=sys.argv[2])
 if starts(sys.argv[1]) == 1:
@@ -77,7 +77,7 @@ if starts(sys.argv[1]) == 1:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-def test_a_kill_is_told_with_its_signal(tmp_path: Path) -> None:
+def test_a_killed_process_is_reported_with_its_signal(tmp_path: Path) -> None:
     script = """
 tell("started", cause=sys.argv[2])
 if starts(sys.argv[1]) == 1:
@@ -176,7 +176,7 @@ def test_messages_are_one_json_line(capfd: pytest.CaptureFixture[str]) -> None:
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes that refuse instead of waiting")
-def test_a_supervisor_that_stands_still_keeps_nobody_waiting() -> None:
+def test_a_stopped_supervisor_does_not_block_its_child() -> None:
     """Stopped by a debugger, say: the pipe is full after some hundred lines."""
     script = """
 from daq_service.processes.child import notify_supervisor

@@ -44,28 +44,28 @@ def rig(pair, tmp_path):
 
 @pytest.fixture
 def energised(rig):
-    """A rig whose supply was switched on by order; nothing else may switch it on."""
+    """Return a rig whose supply was switched on by command; nothing else may switch it on."""
     rig.supply.energise(10.0, 1.0)
     yield rig
     assert [cause for on, cause in rig.switched() if on] == ["command"]
 
 
 def read_again(rig):
-    """The reading after a loss: a resource that hung up in silence is opened anew after some attempts."""
+    """Read after a loss: a resource that was closed silently is reopened after some attempts."""
     for _ in range(ATTEMPTS_PER_OPENING + 1):
         if rig.supply_is_read():
             return rig.supply.read(READ_TIMEOUT_S)
     raise AssertionError("the supply did not come back")
 
 
-def test_an_order_is_set_read_back_and_measured(energised):
+def test_a_command_is_set_read_back_and_measured(energised):
     rig = energised
     reading = rig.supply.read(READ_TIMEOUT_S)
     assert (reading.voltage_v, reading.output_on) == (10.0, True)
     assert reading.current_a == pytest.approx(8.5 / 40.0, abs=1e-3)  # the coarsest shows milliamperes
-    told = rig.supply.read_back(READ_TIMEOUT_S)
-    assert (told["set_voltage_v"], told["set_current_limit_a"], told["output"]) == (10.0, 1.0, "on")
-    assert (told["tripped"], bool(told["protection_unknown"])) == ("", rig.dialect == "korad")
+    state = rig.supply.read_back(READ_TIMEOUT_S)
+    assert (state["set_voltage_v"], state["set_current_limit_a"], state["output"]) == (10.0, 1.0, "on")
+    assert (state["tripped"], bool(state["protection_unknown"])) == ("", rig.dialect == "korad")
     rig.supply.make_safe()
     assert rig.switched() == [*ORDERED, (False, "command")]
 
@@ -77,7 +77,7 @@ def test_its_limit_holds_the_current(energised):
     assert rig.supply.read(READ_TIMEOUT_S).current_a == 1.0
 
 
-def test_a_trip_is_told_where_the_supply_tells_it_and_never_overruled(energised):
+def test_a_trip_that_the_supply_reports_is_reported_and_never_overruled(energised):
     rig = energised
     rig.instruments.supply_link.do(lambda: rig.instruments.supply.trip("VOLT"))
     assert not rig.supply.read(READ_TIMEOUT_S).output_on
@@ -106,7 +106,7 @@ def test_an_unplugged_supply_is_lost_and_comes_back_as_it_was(energised):
 
 
 @pytest.mark.parametrize("garbled", [2, 6, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 16))])
-def test_an_order_that_gets_one_wrong_reply_leaves_the_output_off(rig, garbled):
+def test_a_command_with_one_wrong_reply_leaves_the_output_off(rig, garbled):
     answered = iter(range(1, 1000))
     link, answer = rig.instruments.supply_link, rig.instruments.supply.answer
 
@@ -127,26 +127,26 @@ def test_an_order_that_gets_one_wrong_reply_leaves_the_output_off(rig, garbled):
         assert next(answered) <= garbled, "every reply had come"
 
 
-@pytest.mark.parametrize("said", ["10.000A", "10.000 ohm", "I1 10.000", "10.000MV"])
-def test_a_wrong_unit_or_header_switches_off(rig, said):
+@pytest.mark.parametrize("reply", ["10.000A", "10.000 ohm", "I1 10.000", "10.000MV"])
+def test_a_wrong_unit_or_header_switches_off(rig, reply):
     link, answer = rig.instruments.supply_link, rig.instruments.supply.answer
     question = MEASURED[rig.dialect]
-    link.answer = lambda command: said if command == question else answer(command)
+    link.answer = lambda command: reply if command == question else answer(command)
     with pytest.raises(ConnectionLostError, match=r"(expected V behind|another question).*the output is off"):
         rig.supply.energise(10.0, 1.0)
     assert rig.switched() == [*ORDERED, (False, "command")]
 
 
-@pytest.mark.parametrize("said", ["10.000V", "10000mV", "+1.0E+01 V", "0.01kV"])
-def test_a_right_unit_is_understood(energised, said):
+@pytest.mark.parametrize("reply", ["10.000V", "10000mV", "+1.0E+01 V", "0.01kV"])
+def test_a_right_unit_is_understood(energised, reply):
     rig = energised
     link, answer = rig.instruments.supply_link, rig.instruments.supply.answer
     question = MEASURED[rig.dialect]
-    link.answer = lambda command: said if command == question else answer(command)
+    link.answer = lambda command: reply if command == question else answer(command)
     assert rig.supply.read(READ_TIMEOUT_S).voltage_v == pytest.approx(10.0)  # the last bit of a prefix
 
 
-def test_another_instrument_is_sent_nothing_but_the_question(rig):
+def test_another_instrument_receives_only_the_identity_query(rig):
     rig.instruments.supply_link.do(lambda: setattr(rig.instruments.supply, "identity", "OTHER,THING,7,2.0"))
     with pytest.raises(ConfigurationError, match="OTHER,THING"):
         rig.supply.energise(10.0, 1.0)
@@ -154,7 +154,7 @@ def test_another_instrument_is_sent_nothing_but_the_question(rig):
     assert rig.switched() == []
 
 
-def test_the_identity_is_reported(rig):
+def test_the_instrument_reports_its_identity(rig):
     identity = rig.supply.identity()
     assert identity["model"] in {"DC SUPPLY DOUBLE", "PL303-P", "KA3005P", "DP832A"}
     assert identity["port"] == rig.supply_parameters.line.port
@@ -173,8 +173,12 @@ def test_protections_are_set_and_read_back_before_the_output_goes_on(tmp_path, d
         rig.supply.energise(10.0, 1.0)
         assert supply._protection == {"VOLT": 12.5, "CURR": 1.5}
         heard = rig.heard()
-        on = heard.index(next(said for said in heard if said in {"OUTP ON", "OP1 1", ":OUTP CH1,ON"}))
-        asked = [said for said in heard[:on] if said in {"VOLT:PROT?", "OVP1?", ":OUTP:OVP:VAL? CH1"}]
+        on = heard.index(
+            next(command for command in heard if command in {"OUTP ON", "OP1 1", ":OUTP CH1,ON"})
+        )
+        asked = [
+            command for command in heard[:on] if command in {"VOLT:PROT?", "OVP1?", ":OUTP:OVP:VAL? CH1"}
+        ]
         assert len(asked) == 1
         supply.obeys_set_commands = False
         supply._protection["VOLT"] = 20.0
@@ -186,13 +190,15 @@ def test_protections_are_set_and_read_back_before_the_output_goes_on(tmp_path, d
 def test_a_protection_that_stays_off_keeps_the_output_off(tmp_path):
     with SerialRig(tmp_path, dialect="rigol", over_voltage_v=12.5) as rig:
         answer = rig.instruments.supply.answer
-        rig.instruments.supply_link.answer = lambda said: "OFF" if said == ":OUTP:OVP? CH1" else answer(said)
+        rig.instruments.supply_link.answer = lambda command: (
+            "OFF" if command == ":OUTP:OVP? CH1" else answer(command)
+        )
         with pytest.raises(ConfigurationError, match=r"was told :OUTP:OVP CH1,ON and says it is off"):
             rig.supply.energise(10.0, 1.0)
         assert rig.switched() == []
 
 
-def test_a_supply_that_does_not_know_the_question_says_so_and_is_told_as_unknown(tmp_path):
+def test_a_supply_that_does_not_support_the_query_is_reported_as_unknown(tmp_path):
     with SerialRig(tmp_path) as rig:
         rig.instruments.supply.has_protections = False
         # One reply's time for each silence: an order has that of several.
@@ -202,14 +208,14 @@ def test_a_supply_that_does_not_know_the_question_says_so_and_is_told_as_unknown
         rig.instruments.supply_link.do(lambda: rig.instruments.supply.press_output_key(False))
         asked = len(rig.heard())
         assert not rig.supply.read(READ_TIMEOUT_S).output_on
-        assert not any("PROT" in said for said in rig.heard()[asked:]), "it is not asked again"
+        assert not any("PROT" in command for command in rig.heard()[asked:]), "it is not asked again"
         assert rig.supply.tripped_protections == ()
 
 
-def test_a_lost_answer_is_no_unknown_question(tmp_path):
+def test_a_lost_answer_is_not_an_unknown_query(tmp_path):
     with SerialRig(tmp_path) as rig:
         answer = rig.instruments.supply.answer
-        rig.instruments.supply_link.answer = lambda said: None if "TRIP" in said else answer(said)
+        rig.instruments.supply_link.answer = lambda command: None if "TRIP" in command else answer(command)
         rig.instruments.supply_link.withheld = lambda: rig.deadlines.skip(REPLY_TIMEOUT_S)
         with pytest.raises(ConnectionLostError, match=r"VOLT:PROT:TRIP\? in time"):
             rig.supply.energise(10.0, 1.0)
@@ -227,14 +233,14 @@ def test_echoes_are_no_answers(tmp_path):
             rig.supply.read(READ_TIMEOUT_S)
 
 
-def test_the_climate_probe_may_tell_its_units(tmp_path):
+def test_the_climate_probe_may_send_its_units(tmp_path):
     with SerialRig(tmp_path, way="tcp") as rig:
-        said = {"MEAS:TEMP?": "22.50 C", "MEAS:HUM?": "45.0 %RH"}
+        replies = {"MEAS:TEMP?": "22.50 C", "MEAS:HUM?": "45.0 %RH"}
         answer = rig.instruments.climate.answer
-        rig.instruments.climate_link.answer = lambda asked: said.get(asked) or answer(asked)
+        rig.instruments.climate_link.answer = lambda asked: replies.get(asked) or answer(asked)
         reading = rig.climate.read(READ_TIMEOUT_S)
         assert (reading.temperature_c, reading.relative_humidity) == (22.5, 0.45)
-        said["MEAS:TEMP?"] = "72.50 F"
+        replies["MEAS:TEMP?"] = "72.50 F"
         with pytest.raises(ConnectionLostError, match="expected C or degC"):
             rig.climate.read(READ_TIMEOUT_S)
 
@@ -242,7 +248,7 @@ def test_the_climate_probe_may_tell_its_units(tmp_path):
 # Ways ----------------------------------------------------------------------------------------------
 
 
-def test_a_socket_that_nobody_listens_at_is_told_with_its_address(tmp_path):
+def test_a_socket_without_a_listener_is_reported_with_its_address(tmp_path):
     with SerialRig(tmp_path, way="tcp") as rig:
         rig.instruments.supply_link.unplug()
         with pytest.raises(ConnectionLostError, match=r"tcp:127\.0\.0\.1:\d+ takes no connection .*address"):
@@ -268,7 +274,7 @@ def visa_supply(rig, resource):
         ),
     ],
 )
-def test_a_resource_that_cannot_be_opened_is_told(tmp_path, monkeypatch, resource, kind, complaint):
+def test_a_resource_that_cannot_be_opened_is_reported(tmp_path, monkeypatch, resource, kind, complaint):
     pytest.importorskip("pyvisa_py", reason="the extra visa is not installed")
     monkeypatch.setenv("PYVISA_LIBRARY", "@py")  # whatever is installed here
     with SerialRig(tmp_path) as rig, pytest.raises(kind, match=complaint):

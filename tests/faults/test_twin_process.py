@@ -22,7 +22,7 @@ TIMEOUT_S = 120.0
 
 
 def settings_with(**clock):
-    """Transducers on infinite plates, which need no reduction."""
+    """Return settings of transducers on infinite plates, which need no reduction."""
     plain = Settings().model_dump()
     for place in plain["positions"].values():
         place["plate"]["model"] = "infinite_kirchhoff"
@@ -88,12 +88,12 @@ def test_records_are_the_same_and_a_killed_worker_costs_none(caplog):
     assert "not computed ahead any more" in caplog.text
 
 
-def test_a_worker_that_compiles_is_heard_and_one_that_dies_over_it_compiles_no_more():
+def test_a_compiling_worker_is_reported_and_a_dead_one_ends_its_compilation():
     heard = []
-    hear, told = multiprocessing.get_context("spawn").Pipe(duplex=False)
+    hear, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
     for word in (True, False, True):
-        told.send(word)
-    told.close()  # as the system does for a worker that is killed
+        sender.send(word)
+    sender.close()  # as the system does for a worker that is killed
     with hear:
         _pass_on(hear, heard.append)
     assert heard == [True, False, True, False]
@@ -132,7 +132,7 @@ def test_the_worker_of_a_killed_recorder_leaves(tmp_path):
 @pytest.mark.parametrize(
     ("clock", "own_process"), [({"pace_h_per_s": None}, True), ({"pace_h_per_s": 5.0}, False)]
 )
-def test_a_long_test_that_nobody_watches_has_a_process_and_nothing_stays_after_it(clock, own_process):
+def test_a_long_unattended_test_has_a_twin_process_and_leaves_nothing(clock, own_process):
     settings = settings_with(**clock)
     with open_rig(settings, SimulatedClock(EPOCH_NS), EPOCH_NS) as rig:
         for index in range(2):

@@ -3,7 +3,7 @@
 ``SOLIMON_TEST_HARDWARE=path/to/laboratory.toml``
     The rig. Without it everything here is skipped.
 ``SOLIMON_TEST_STRIKE=yes``
-    Strikers may be lifted and dropped. Nobody has hands in the rig.
+    Strikers may be lifted and dropped. No person has hands in the rig.
 ``SOLIMON_TEST_LOOPBACK=B:ai7``
     The output terminal of B's coil is wired to this analog input of the board that drives it, and the plug of
     the coil drivers is pulled.
@@ -35,7 +35,7 @@ LOAD = "SOLIMON_TEST_LOAD_OHM"
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Mark everything in this folder."""
+    """Mark every test in this folder."""
     for item in items:
         if Path(__file__).parent in item.path.parents:
             item.add_marker(pytest.mark.hardware)
@@ -43,7 +43,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 @pytest.fixture(scope="session")
 def rig() -> RigSettings:
-    """What the configuration says of the rig."""
+    """Return the rig of the configuration."""
     path = os.environ.get(RIG)
     if not path:
         pytest.skip(f"{RIG} names no configuration of a real rig (docs/how-to/day-one.md)")
@@ -52,7 +52,7 @@ def rig() -> RigSettings:
 
 @pytest.fixture(scope="session")
 def parameters(rig: RigSettings) -> DaqmxParameters:
-    """The boards under test; a rehearsal's configuration is taken for a real one."""
+    """Return the boards under test; the configuration of a rehearsal is taken for a real one."""
     if rig.daqmx is None:
         pytest.skip(f"{os.environ[RIG]} has no [rig.daqmx]")
     return replace(rig.daqmx, dry_run=False)
@@ -60,7 +60,7 @@ def parameters(rig: RigSettings) -> DaqmxParameters:
 
 @pytest.fixture(scope="session")
 def probe_parameters(rig: RigSettings) -> NiscopeParameters:
-    """The ultrasonic probes under test."""
+    """Return the ultrasonic probes under test."""
     if rig.niscope is None:
         pytest.skip(f"{os.environ[RIG]} has no [rig.niscope]")
     return rig.niscope
@@ -68,7 +68,7 @@ def probe_parameters(rig: RigSettings) -> NiscopeParameters:
 
 @pytest.fixture(scope="session")
 def supply_parameters(rig: RigSettings) -> SupplyParameters:
-    """The supply under test."""
+    """Return the supply under test."""
     if rig.supply is None:
         pytest.skip(f"{os.environ[RIG]} has no [rig.supply]")
     return rig.supply
@@ -76,23 +76,23 @@ def supply_parameters(rig: RigSettings) -> SupplyParameters:
 
 @pytest.fixture(scope="session")
 def load_ohm() -> float:
-    """Resistor at the supply's output; whoever names it allows that it is energised."""
-    told = os.environ.get(LOAD)
-    if not told:
+    """Return the resistance at the output of the supply; naming it permits to energize it."""
+    load = os.environ.get(LOAD)
+    if not load:
         pytest.skip(f"{LOAD} is not set: nothing is energised (docs/how-to/day-one.md says what to wire)")
-    return float(told)
+    return float(load)
 
 
 @pytest.fixture(scope="session")
 def may_strike() -> None:
-    """Skip what lifts strikers unless a person allows it."""
+    """Skip tests that lift strikers without permission."""
     if os.environ.get(STRIKE) != "yes":
         pytest.skip(f"{STRIKE} is not 'yes': no striker is moved")
 
 
 @pytest.fixture
 def loopback(parameters: DaqmxParameters) -> Iterator[Loopback]:
-    """Coil of a position recorded by its own board."""
+    """Return the coil of a position recorded by its own board."""
     position, _, channel = os.environ.get(LOOPBACK, "").partition(":")
     if not channel:
         pytest.skip(f"{LOOPBACK} is not set, as in B:ai7 (docs/how-to/day-one.md says what to wire)")

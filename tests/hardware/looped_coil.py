@@ -31,5 +31,5 @@ class Loopback:
     board: Board
 
     def at_level(self, level_v: float) -> DaqmxParameters:
-        """Return the same with another trigger level."""
+        """Return the same settings with another trigger level."""
         return replace(self.parameters, trigger_level_v=level_v)

@@ -36,7 +36,7 @@ RECORDS = 300
 # Nothing moves --------------------------------------------------------------------------------------
 
 
-def test_the_boards_take_the_wiring_as_configured(parameters: DaqmxParameters) -> None:
+def test_the_boards_use_the_configured_wiring(parameters: DaqmxParameters) -> None:
     failed = [finding for finding in survey_rig(parameters).findings if finding.state == "fail"]
     assert failed == []
 
@@ -98,11 +98,13 @@ def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters
         rig.digitizer.arm(ShotKey(position=position, set_index=0, shot_index=0))
         acquired = rig.digitizer.read(READ_TIMEOUT_S)
     assert set(done) == {same_serial(wiring.board_serial) for wiring in parameters.transducers.values()}
-    told = str(acquired.settings["calibration_date"])
-    if not told:
+    calibration_date = str(acquired.settings["calibration_date"])
+    if not calibration_date:
         pytest.skip(f"this board does not calibrate itself: {done}")
     # The board's clock is that of the driver's computer; an hour allows for a remote chassis.
-    assert abs(datetime.fromisoformat(told).astimezone() - datetime.now().astimezone()) < timedelta(hours=1)
+    assert abs(
+        datetime.fromisoformat(calibration_date).astimezone() - datetime.now().astimezone()
+    ) < timedelta(hours=1)
     # An open or quiet input lies within a hundredth of its range.
     assert abs(float(np.mean(acquired.waveform.volts()))) < 0.01 * acquired.waveform.calibration.range_v
 
@@ -111,7 +113,7 @@ def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters
 
 
 def one_shot(parameters: DaqmxParameters, position: str) -> Waveform:
-    """Record of one strike, through the driver's own instruments: arm, strike, read."""
+    """Return the record of one strike through the driver's own instruments: arm, strike, read."""
     key = ShotKey(position=position, set_index=0, shot_index=0)
     with open_daqmx(parameters) as rig:
         rig.digitizer.arm(key)
@@ -136,7 +138,7 @@ def test_each_striker_makes_a_wave_that_passes_its_own_trigger(parameters: Daqmx
 
 
 def high_s(waveform: Waveform) -> float:
-    """Time the line is high in a record that has one pulse."""
+    """Return how long the line is high in a record with one pulse."""
     high = np.flatnonzero(waveform.volts() > TTL_HIGH_V)
     assert high.size, "the line never went high"
     assert high[-1] - high[0] + 1 == high.size, "one pulse without a gap"
@@ -275,7 +277,7 @@ def test_the_line_is_low_when_the_task_is_committed_and_when_it_is_gone(loopback
 
 
 def test_the_watchdog_cuts_a_pulse_short(loopback: Loopback) -> None:
-    """Nobody feeds it: half-way through the pulse the board itself pulls the line low."""
+    """The watchdog is not reset: half-way through the pulse the board itself pulls the line low."""
     from nidaqmx.constants import Level
     from nidaqmx.types import DOExpirationState
 

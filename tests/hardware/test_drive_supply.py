@@ -1,4 +1,4 @@
-"""What no double can prove of the supply: that it does as its dialect says, and goes off whatever happens.
+"""What no double can prove of the supply: that it follows its dialect, and always switches off.
 
 The first tests only ask. The others put some volts on a resistor that is wired in place of the specimen; they
 come only where ``SOLIMON_TEST_LOAD_OHM`` says that it is there, and each ends with the output off, read back.
@@ -42,18 +42,18 @@ class Load:
 
     @property
     def voltage_v(self) -> float:
-        """Voltage of the drive, or less where the resistor would become warm."""
+        """Return the voltage of the supply, reduced where the resistor would become warm."""
         return min(self.parameters.voltage_v, math.sqrt(MOST_W * self.resistance_ohm))
 
     @property
     def current_a(self) -> float:
-        """Current at that voltage."""
+        """Return the current at that voltage."""
         return self.voltage_v / self.resistance_ohm
 
 
 @pytest.fixture
 def supply(supply_parameters: SupplyParameters) -> Iterator[ScpiPowerSupply]:
-    """The supply, found off and left off."""
+    """Yield the supply; check that it is off before and after."""
     opened = ScpiPowerSupply(supply_parameters, stamp=stamp_now)
     try:
         if opened.read(supply_parameters.read_timeout_s).output_on:
@@ -70,7 +70,7 @@ def supply(supply_parameters: SupplyParameters) -> Iterator[ScpiPowerSupply]:
 
 @pytest.fixture
 def load(supply_parameters: SupplyParameters, load_ohm: float) -> Load:
-    """What the resistor takes, as far as the configuration's caps let it."""
+    """Return the current of the resistor, limited by the caps of the configuration."""
     its = Load(resistance_ohm=load_ohm, parameters=supply_parameters)
     if 2.0 * its.current_a > supply_parameters.current_cap_a:
         pytest.fail(
@@ -81,7 +81,7 @@ def load(supply_parameters: SupplyParameters, load_ohm: float) -> Load:
 
 @contextmanager
 def energised(supply: ScpiPowerSupply, voltage_v: float, current_limit_a: float) -> Iterator[SupplyReading]:
-    """On within this block only."""
+    """Switch the output on within this block only."""
     try:
         supply.energise(voltage_v, current_limit_a)
         yield supply.read(READ_TIMEOUT_S)
@@ -90,26 +90,26 @@ def energised(supply: ScpiPowerSupply, voltage_v: float, current_limit_a: float)
 
 
 def is_off(supply: ScpiPowerSupply) -> bool:
-    """Whether the output reads back as off, by both questions."""
+    """Return whether both queries read the output back as off."""
     reading = supply.read(READ_TIMEOUT_S)
-    told = supply.read_back(READ_TIMEOUT_S)
-    return not reading.output_on and told["output"] == "off"
+    state = supply.read_back(READ_TIMEOUT_S)
+    return not reading.output_on and state["output"] == "off"
 
 
 # Nothing is energised -------------------------------------------------------------------------------
 
 
-def test_it_tells_who_it_is_and_what_is_set(supply: ScpiPowerSupply) -> None:
+def test_the_supply_reports_its_identity_and_setpoints(supply: ScpiPowerSupply) -> None:
     identity = supply.identity()
     assert identity["maker"] or identity["model"]
-    told = supply.read_back(READ_TIMEOUT_S)
-    assert told["output"] == "off"
-    assert told["tripped"] == "", "clear the protection at the instrument first"
-    assert float(told["set_voltage_v"]) >= 0.0
-    assert float(told["set_current_limit_a"]) > 0.0
+    state = supply.read_back(READ_TIMEOUT_S)
+    assert state["output"] == "off"
+    assert state["tripped"] == "", "clear the protection at the instrument first"
+    assert float(state["set_voltage_v"]) >= 0.0
+    assert float(state["set_current_limit_a"]) > 0.0
 
 
-def test_an_order_beyond_the_caps_sets_nothing(
+def test_a_command_above_the_caps_sets_nothing(
     supply: ScpiPowerSupply, supply_parameters: SupplyParameters
 ) -> None:
     before = supply.read_back(READ_TIMEOUT_S)
@@ -126,14 +126,14 @@ def test_an_order_beyond_the_caps_sets_nothing(
 def test_it_holds_its_voltage_and_reads_back_what_was_set(supply: ScpiPowerSupply, load: Load) -> None:
     parameters = load.parameters
     with energised(supply, load.voltage_v, 2.0 * load.current_a) as reading:
-        told = supply.read_back(READ_TIMEOUT_S)
+        state = supply.read_back(READ_TIMEOUT_S)
     assert reading.output_on
     assert reading.voltage_v == pytest.approx(load.voltage_v, abs=parameters.readback_tolerance_v)
     assert reading.current_a == pytest.approx(
         load.current_a, rel=LOAD_TOLERANCE, abs=parameters.readback_tolerance_a
     )
-    assert float(told["set_voltage_v"]) == pytest.approx(load.voltage_v, abs=parameters.readback_tolerance_v)
-    assert told["output"] == "on"
+    assert float(state["set_voltage_v"]) == pytest.approx(load.voltage_v, abs=parameters.readback_tolerance_v)
+    assert state["output"] == "on"
     assert is_off(supply)
 
 
@@ -167,16 +167,16 @@ def test_the_interlock_switches_off_at_its_current(supply: ScpiPowerSupply, load
     assert is_off(supply), "nothing but a person's order switches it on again"
 
 
-def test_what_fails_while_it_is_on_leaves_it_off(supply: ScpiPowerSupply, load: Load) -> None:
+def test_a_failure_while_the_output_is_on_switches_it_off(supply: ScpiPowerSupply, load: Load) -> None:
     class FellOverError(Exception):
-        """Whatever goes wrong in whoever uses it."""
+        """Any error of a user of the supply."""
 
     with pytest.raises(FellOverError), energised(supply, load.voltage_v, 2.0 * load.current_a):
         raise FellOverError
     assert is_off(supply)
 
 
-def test_a_driver_that_starts_anew_finds_it_on_and_switches_it_off(
+def test_a_restarted_driver_finds_the_output_on_and_switches_it_off(
     supply: ScpiPowerSupply, load: Load
 ) -> None:
     """A process that ended leaves the output as it is; who comes next sees that before it does anything."""

@@ -28,7 +28,7 @@ GAIN_ERROR = 0.02
 
 
 def echoes(parameters: NiscopeParameters, position: str, number: int) -> list[Echo]:
-    """Records one after the other."""
+    """Return consecutive records."""
     with open_niscope(replace(parameters, probes={position: parameters.probes[position]})) as unit:
         return [
             unit.acquire(ShotKey(position=position, set_index=index, shot_index=0), parameters.call_timeout_s)
@@ -37,12 +37,12 @@ def echoes(parameters: NiscopeParameters, position: str, number: int) -> list[Ec
 
 
 def volts(echo: Echo) -> npt.NDArray[np.float64]:
-    """Record in V."""
+    """Return a record in V."""
     return np.asarray(echo.waveform.volts(), dtype=np.float64)
 
 
 def noise_v(one: Echo, other: Echo) -> float:
-    """Standard deviation of a record, by the difference of two: the quieter half of it."""
+    """Return the standard deviation from the difference of two records, in their quieter half."""
     parts = np.array_split(volts(one) - volts(other), PARTS)
     return float(np.median([part.std() for part in parts])) / np.sqrt(2.0)
 
@@ -98,7 +98,11 @@ def test_self_calibration_is_dated_today(probe_parameters: NiscopeParameters) ->
         with open_niscope(replace(probe_parameters, probes={position: wiring})) as unit:
             done = unit.self_calibrate()
             key = ShotKey(position=position, set_index=0, shot_index=0)
-            told = str(unit.acquire(key, probe_parameters.call_timeout_s).settings["calibration_date"])
+            calibration_date = str(
+                unit.acquire(key, probe_parameters.call_timeout_s).settings["calibration_date"]
+            )
         assert len(done) == 1
         # The board's date is that of the computer, in UTC or in local time.
-        assert abs(date.fromisoformat(told[:10]) - datetime.now().astimezone().date()) <= timedelta(days=1)
+        assert abs(
+            date.fromisoformat(calibration_date[:10]) - datetime.now().astimezone().date()
+        ) <= timedelta(days=1)

@@ -54,7 +54,7 @@ class Mutant:
 
 
 def mutants(folder: str = "") -> list[Mutant]:
-    """Every committed fault of a folder (here: of unit tests; ``line``: of the whole line), by name."""
+    """Return every committed fault of a folder by name (here: of unit tests; ``line``: of the whole line)."""
     found = []
     for patch in sorted((HERE / folder).glob("*.patch")):
         head = dict(re.findall(r"^(Fault|Noticed by): (.+)$", patch.read_text("utf-8"), flags=re.MULTILINE))
@@ -63,7 +63,7 @@ def mutants(folder: str = "") -> list[Mutant]:
 
 
 def copy_of_the_code(folder: Path) -> None:
-    """Copy what the unit tests need; what git ignores stays behind."""
+    """Copy the files that the unit tests need; files that git ignores stay behind."""
     for name in ("daq_service", "simulator", "analysis", "hardware_drivers", "config", "tests", "benchmarks"):
         shutil.copytree(
             ROOT / name, folder / name, ignore=shutil.ignore_patterns("__pycache__", "*.nbi", "*.nbc")
@@ -72,7 +72,7 @@ def copy_of_the_code(folder: Path) -> None:
 
 
 def apply(patch: Path, copy: Path, *options: str) -> None:
-    """Apply a patch to a copy; ``--reverse`` takes it back, ``--check`` only tells whether it applies.
+    """Apply a patch to a copy; ``--reverse`` reverts it, ``--check`` only checks whether it applies.
 
     Raises
     ------
@@ -85,8 +85,8 @@ def apply(patch: Path, copy: Path, *options: str) -> None:
     subprocess.run(command, cwd=copy, env=environment, check=True, capture_output=True, text=True)
 
 
-def _run(copy: Path, tests: Sequence[str], told: multiprocessing.connection.Connection) -> None:
-    """Child: run tests on the copy; tell pytest's exit code, its output, and the seconds of processor."""
+def _run(copy: Path, tests: Sequence[str], results: multiprocessing.connection.Connection) -> None:
+    """Run tests on the copy in a child; send the exit code of pytest, its output and processor seconds."""
     os.chdir(copy)
     sys.path[:] = [str(copy), str(copy / "tests"), *(p for p in sys.path if Path(p).resolve() != ROOT)]
     os.environ["PYTHONPATH"] = str(copy)  # what a test starts runs the copy too
@@ -100,12 +100,12 @@ def _run(copy: Path, tests: Sequence[str], told: multiprocessing.connection.Conn
     with redirect_stdout(output), redirect_stderr(output):
         code = pytest.main([*options, *tests])
     spent = os.times()
-    told.send((int(code), output.getvalue(), sum(spent[:4])))
+    results.send((int(code), output.getvalue(), sum(spent[:4])))
 
 
 def run_tests(copy: Path, tests: Sequence[str]) -> tuple[int, str, float]:
-    """Run tests on the copy in a process of their own."""
-    # Elsewhere libraries do not survive a fork, or there is none: then each child imports them anew.
+    """Run tests on the copy in their own process."""
+    # Elsewhere libraries do not survive a fork, or there is none: then each child imports them again.
     context = multiprocessing.get_context("fork" if sys.platform == "linux" else "spawn")
     ours, theirs = context.Pipe(duplex=False)
     child = context.Process(target=_run, args=(copy, tests, theirs))

@@ -85,7 +85,7 @@ def impossible():
 
 
 class ArchiveAndCatalogue(RuleBasedStateMachine):
-    """A recorder's folder, a reader that stays open beside it, and what both must show."""
+    """A recorder's folder, a reader that stays open, and what both must show."""
 
     @initialize()
     def begin(self):
@@ -105,7 +105,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 
     @rule()
     def reopen(self):
-        """Come back after the end of the process."""
+        """Reopen after the end of the process."""
         if self.catalogue is not None:
             self.catalogue.close()
             self.archive.close()
@@ -114,7 +114,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 
     @rule(index=sets)
     def store(self, index):
-        """Store a set; its rows never come if the process ends now."""
+        """Store a set; its rows are never written if the process ends now."""
         stored = self.archive.store_set(RECORDS[index])
         expected = MemoryArchive().store_set(RECORDS[index])
         assert (stored.file, stored.crc32) == (expected.file, expected.crc32)
@@ -127,7 +127,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 
     @rule(index=sets, call=st.sampled_from(["os.open", "os.fsync", "os.replace", "sync_folder"]))
     def crash_while_storing(self, index, call):
-        """End the process before a call: the set is there as a whole, though not acknowledged, or absent."""
+        """End the process before a call: the set is complete, though not acknowledged, or absent."""
         assume(index not in self.stored)  # a repeated store makes no file
         killed = mock.patch.object(shared_file, call.removeprefix("os."), side_effect=Killed)
         if call.startswith("os."):
@@ -150,20 +150,20 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
     @precondition(lambda self: self.stored)
     @rule(data=st.data())
     def fail_to_commit(self, data):
-        """Whatever part of a commit is refused, none of it is stored."""
+        """Check that a commit is not stored if any part of it is refused."""
         index = data.draw(st.sampled_from(sorted(self.stored)))
         with pytest.raises(CatalogueError):
             self.catalogue.commit_set(replace(commit_of(RECORDS[index], self.stored[index]), **impossible()))
 
     @rule()
-    def tell(self):
-        """Something that belongs to no set."""
-        told = self.catalogue.add_event(utc_ns=0, topic="service", kind="told", payload={})
-        self.events.append((told, "told", None))
+    def add_event(self):
+        """Add an event that belongs to no set."""
+        added_id = self.catalogue.add_event(utc_ns=0, topic="service", kind="told", payload={})
+        self.events.append((added_id, "told", None))
 
     @rule()
     def adopt(self):
-        """Make the rows of every set that has none, as a recorder does that starts again."""
+        """Write the rows of every set that has none, as a restarted recorder does."""
         done = self.catalogue.committed_sets()
         for index, file in self.archive.sets().items():
             if index not in done:
@@ -195,7 +195,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 
     @invariant()
     def rows_and_files_belong_together(self):
-        """In the order of the commits, for the recorder and for whoever reads beside it."""
+        """Check the order of the commits for the recorder and for a concurrent reader."""
         for catalogue in (self.catalogue, self.reading):
             rows = catalogue.rows(SetRow)
             per_set = len(RECORDS[SET_INDEX].positions)
@@ -209,7 +209,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
         assert self.catalogue.next_sequence() == max(sequences, default=0) + 1
 
     @invariant()
-    def events_are_those_that_were_told_in_their_order(self):
+    def events_have_their_order(self):
         ids = [event_id for event_id, *_ in self.events]
         assert ids == sorted(set(ids))
         for catalogue in (self.catalogue, self.reading):
@@ -222,7 +222,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
             ]
 
     def teardown(self):
-        """Everything that was acknowledged is there to the last bit, and its rows name the same counts."""
+        """Check that every acknowledged record is complete and its rows name the same counts."""
         with self.cleaning:
             for index, file in self.stored.items():
                 assert bits(self.reader.read_set(file)) == BITS[index]
@@ -237,7 +237,7 @@ class ArchiveAndCatalogue(RuleBasedStateMachine):
 ArchiveAndCatalogue.TestCase.settings = settings(
     max_examples=6,
     stateful_step_count=15,
-    # The same runs every time: the default suite tells a changed program from a lucky draw.
+    # The same runs every time: a changed result in the default suite is a changed program.
     derandomize=True,
     database=None,
     # No shrinking: it would take minutes of fsyncs, and fifteen steps can be read as they are.

@@ -1,4 +1,4 @@
-"""Whatever a recording holds of a set, playback gives exactly that, and misses exactly the rest."""
+"""Playback returns exactly the shots of a set in the recording, and misses exactly the rest."""
 
 import itertools
 
@@ -32,7 +32,7 @@ WAVEFORMS = [waveform(seed) for seed in range(2 * len(PLANNED))]
 
 
 def recorded_set(kinds, lateness_ns, echo):
-    """Records of a set: each strike at its planned time and a little later; a poor one is repeated."""
+    """Draw records of a set: each strike at or after its scheduled time; a poor one is repeated."""
     records = []
     slot = itertools.count()
     for number, ((position, shot_index), kind) in enumerate(zip(PLANNED, kinds, strict=True)):

@@ -238,7 +238,7 @@ class Supervision(RuleBasedStateMachine):
             assert not (process.commanded and silent_s > limit_s), f"unwatched for {silent_s:g} s"
 
     def _can_reach(self) -> bool:
-        """Somebody runs who knows this supply's port: not the successor of another one."""
+        """Return whether a running process knows the port of this supply."""
         parameters = [one.drive._parameters for one in self.world.processes if not one.stalled]
         parameters += [] if self.recorder is None else [self.recorder._parameters]
         parameters += [] if self.guarding is None else [self.guarding._parameters]
@@ -346,7 +346,7 @@ class Supervision(RuleBasedStateMachine):
 
     @rule()
     def change_supervisor(self) -> None:
-        """Start it, or kill it."""
+        """Start or kill the supervisor."""
         if self.guarding is not None:
             self.guarding._disconnect("killed")
             self.supervisor = self.guarding = None

@@ -26,7 +26,7 @@ BODIES: dict[str, Any] = {
     "create_token": {"name": "bob", "role": "viewer", "days": 30},
 }
 ORDER = ("get_command", "list_audit", "revoke_token", "log_out")
-"""These come last, since they tell of the others."""
+"""These come last, since they describe the others."""
 STREAM = (
     "id: 42\\nevent: sets\\n"
     'data: {"id":42,"topic":"sets","kind":"set_done","position":"B","set_index":0,"payload":{}}\\n\\n'
@@ -34,12 +34,12 @@ STREAM = (
 TRIAL = {"receiver": "control_room", "ok": True, "status": 204, "told": "taken", "took_s": 0.12}
 BY_HAND: dict[str, tuple[str, Any]] = {
     "stream_events": ("text/event-stream", STREAM),
-    "test_receiver": ("application/json", TRIAL),  # it would need somebody who receives
+    "test_receiver": ("application/json", TRIAL),  # it would need a receiver
 }
 
 
 def shortened(value: Any) -> Any:
-    """Lists are cut to their first entries, and no token is told."""
+    """Cut lists to their first entries and hide tokens."""
     if isinstance(value, list):
         return [shortened(part) for part in value[:LONGEST_LIST]]
     if isinstance(value, dict):
@@ -48,7 +48,7 @@ def shortened(value: Any) -> Any:
 
 
 def asked(client: httpx.Client, path: str, method: str, operation: dict[str, Any]) -> dict[str, Any] | None:
-    """Ask for one; None where the answer is no JSON."""
+    """Request one example; return None where the answer is not JSON."""
     name = operation["operationId"]
     if name in BY_HAND:
         return {"status": "200", "answer": BY_HAND[name][1], "media_type": BY_HAND[name][0]}
@@ -65,19 +65,23 @@ def asked(client: httpx.Client, path: str, method: str, operation: dict[str, Any
         return {"status": "200", "media_type": media_type, "answer": "\n".join(answer.text.splitlines()[:6])}
     if media_type != "application/json":
         return None
-    told = {"status": str(answer.status_code), "media_type": media_type, "answer": shortened(answer.json())}
-    return told | ({} if body is None else {"body": shortened(body)})
+    example = {
+        "status": str(answer.status_code),
+        "media_type": media_type,
+        "answer": shortened(answer.json()),
+    }
+    return example | ({} if body is None else {"body": shortened(body)})
 
 
-def write_examples(folder: Path, *, anew: bool) -> None:
-    """Serve an invented test, ask everything once, and write what came.
+def write_examples(folder: Path, *, renew: bool) -> None:
+    """Serve an invented test, request everything once, and write the answers.
 
     Parameters
     ----------
     anew
         False: only of operations that have none yet.
     """
-    kept: dict[str, Any] = {} if anew else json.loads(FILE.read_text(encoding="utf-8"))
+    kept: dict[str, Any] = {} if renew else json.loads(FILE.read_text(encoding="utf-8"))
 
     def turn(call: tuple[str, str, dict[str, Any]]) -> int:
         name = call[2]["operationId"]
@@ -97,9 +101,9 @@ def write_examples(folder: Path, *, anew: bool) -> None:
             calls = [(path, method, what) for path, item in paths.items() for method, what in item.items()]
             calls.sort(key=turn)
             for path, method, operation in calls:
-                told = asked(client, path, method, operation)
-                if told is not None:
-                    answers.setdefault(operation["operationId"], told)
+                example = asked(client, path, method, operation)
+                if example is not None:
+                    answers.setdefault(operation["operationId"], example)
     filled.close()
     answers |= {name: kept[name] for name in answers.keys() & kept.keys()}
     content = json.dumps(answers, indent=1, ensure_ascii=False, sort_keys=True)

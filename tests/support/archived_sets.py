@@ -20,7 +20,7 @@ CURVED = Calibration(
 
 
 def counts_of(sequence: int, n_samples: int, dtype: type = np.int16) -> np.ndarray:
-    """Noise of its own for every sequence."""
+    """Return noise that differs for every sequence number."""
     return np.random.default_rng(sequence).integers(-2000, 2000, n_samples).astype(dtype)
 
 
@@ -75,7 +75,7 @@ def make_missed(position: str, shot_index: int, *, attempt: int = 0) -> MissedRe
 
 
 def make_set() -> SetRecord:
-    """A partial set: A whole, B with a repeated strike, C cut short, D silent."""
+    """Return a partial set: A complete, B with a repeated strike, C cut short, D silent."""
     full_truth = {"depth_fraction": 0.25, "drop_height_m": 5.1e-3, "tilt_rad": 1e-3}
     return SetRecord(
         set_index=SET_INDEX,
@@ -118,7 +118,7 @@ def make_set() -> SetRecord:
 
 
 def other_set(record: SetRecord, set_index: int) -> SetRecord:
-    """The same measurements as another set, an hour later for each index."""
+    """Return the same measurements as another set, an hour later for each index."""
     hours = set_index - record.set_index
 
     def moved(item):
@@ -164,7 +164,7 @@ def assert_same_records(found: SetRecord, stored: SetRecord) -> None:
 
 
 def assert_same_set(found: SetRecord, stored: SetRecord) -> None:
-    """Everything, bit for bit."""
+    """Check that two sets are equal, bit for bit."""
     for name in ("set_index", "due_utc_ns", "due_h", "started_utc_ns", "ended_utc_ns", "rig_kind", "trouble"):
         assert getattr(found, name) == getattr(stored, name), name
     assert (found.missed, dict(found.outcomes)) == (stored.missed, dict(stored.outcomes))

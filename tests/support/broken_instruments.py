@@ -130,7 +130,7 @@ class CodesBeyondTheResolution(SoundDigitizer):
         )
 
 
-class TellsMillivolts(SoundDigitizer):
+class CountsInMillivolts(SoundDigitizer):
     def record(self):
         sound = waveform()
         return Acquired(waveform=replace(sound, calibration=replace(sound.calibration, range_v=5000.0)))

@@ -45,7 +45,7 @@ def find_browser() -> str:
 
 @contextmanager
 def chromium() -> Iterator[Any]:
-    """Run one; Playwright is imported only where pages are opened."""
+    """Run a Chromium; Playwright is imported only where pages are opened."""
     from playwright.sync_api import sync_playwright
 
     with sync_playwright() as playwright:
@@ -56,7 +56,7 @@ def chromium() -> Iterator[Any]:
 
 @contextmanager
 def watched_pages(browser: Any) -> Iterator[Callable[..., Any]]:
-    """Open pages; at the end none of them may have complained, or asked for anything elsewhere."""
+    """Open pages; fail at the end if one logged an error or requested another host."""
     contexts: list[Any] = []
     complaints: list[str] = []
 
@@ -101,7 +101,7 @@ def watched_pages(browser: Any) -> Iterator[Callable[..., Any]]:
 
 
 def show(page: Any, view: str = "") -> None:
-    """Show another view on a page that is open, as its address would; opening a page takes three seconds."""
+    """Show another view on an open page by its address; opening a page takes three seconds."""
     page.mouse.move(0, 0)
     page.evaluate(
         """view => {
@@ -115,24 +115,24 @@ def show(page: Any, view: str = "") -> None:
 
 
 def wait_for_scripts(page: Any) -> None:
-    """Of the dashboard: they come when its tiles are drawn, and no page waits for them to be loaded."""
+    """Wait for the scripts of the dashboard, which load after its tiles are drawn."""
     there = "!document.getElementById('later') || Boolean(window.solimonDashboard)"
     until(lambda: page.evaluate(there), "the page's scripts are there")
 
 
 def dashboard(page: Any, what: str) -> Any:
-    """What the dashboard tells of itself, e.g. ``charts.tof.x``."""
+    """Return a state of the dashboard by its path, e.g. ``charts.tof.x``."""
     wait_for_scripts(page)
     return page.evaluate(f"window.solimonDashboard.{what}")
 
 
 def query(page: Any) -> dict[str, str]:
-    """What the page's address says."""
+    """Return the query of the page's address."""
     return {key: value for key, (value,) in parse_qs(urlsplit(page.url).query).items()}
 
 
 def at_hour(page: Any, chart: str, hour: float, part: float = 0.5) -> tuple[float, float]:
-    """Page coordinates of an hour on a chart, once all has been read and nothing moves it any more."""
+    """Return page coordinates of an hour on a chart, once it is loaded and stable."""
     until(lambda: dashboard(page, "ready"), "all that the page shows is read")
     page.locator(f"#{chart} .plot").scroll_into_view_if_needed()
     box = page.locator(f"#{chart} .u-over").bounding_box()
@@ -141,7 +141,7 @@ def at_hour(page: Any, chart: str, hour: float, part: float = 0.5) -> tuple[floa
 
 
 def expect(locator: Any, *, within_s: float = DEADLINE_S) -> Any:
-    """Playwright's `expect`, imported only where a browser test runs."""
+    """Return Playwright's `expect`, imported only where a browser test runs."""
     from playwright.sync_api import expect as expect_
 
     expect_.set_options(timeout=1000 * within_s)

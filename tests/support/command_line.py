@@ -14,7 +14,7 @@ from daq_service.cli.main import main
 
 
 def solimon_here(*arguments: str, env: Mapping[str, str]) -> subprocess.CompletedProcess[str]:
-    """Return what ``solimon`` says and its exit code, as `subprocess.run` would."""
+    """Run ``solimon`` in this process; return output and exit code like `subprocess.run`."""
     out, err, code = StringIO(), StringIO(), 0
     command = ["solimon", *arguments]
     with (

@@ -57,7 +57,7 @@ SETS, SHOTS_PER_SET = 16, 3
 
 
 def crash_settings(kind: str, **tables: Any) -> Settings:
-    """Settings of a test of 144 shots, the last set judged by the ones before; suspicion asks for 3 more.
+    """Settings of a test of 144 shots, the last set assessed by the ones before; suspicion asks for 3 more.
 
     Shots are acknowledged a set at a time where ``kind`` is ``simulated``, and one by one on ``wall``.
     """
@@ -83,7 +83,7 @@ class LongerRecords(ScriptedInstruments):
 
 
 def features_by_key(shot: Shot) -> Any:
-    """Features of a healthy wall, but at B in the last set and what is struck after it."""
+    """Return features of a healthy wall, changed at B in the last set and its confirmations."""
     planned, _ = in_order(shot.key.set_index)
     return healthy(shot.key, 1.0 if (shot.key.position, planned) == ("B", SETS - 1) else 0.0)
 
@@ -161,7 +161,7 @@ class Outcome:
 
 
 def rows_of(folder: Path, kind: str) -> dict[str, list[Any]]:
-    """Of each table the rows that a repeated test must repeat; in real time without their times."""
+    """Return the rows of each table that a repeated test must repeat; in real time without their times."""
     rows: dict[str, list[Any]] = {}
     with open_catalogue(folder) as catalogue:
         for name, table in TABLES.items():
@@ -179,7 +179,7 @@ def rows_of(folder: Path, kind: str) -> dict[str, list[Any]]:
 
 
 def outcome(folder: Path, kind: str) -> Outcome:
-    """Read it from catalogue and files."""
+    """Read the result from catalogue and files."""
     rows = rows_of(folder, kind)
     counts = {
         sequence: content
@@ -191,7 +191,7 @@ def outcome(folder: Path, kind: str) -> Outcome:
 
 
 def purpose_of_all(table: type[Row]) -> Filters:
-    """Ask for sets of the plan and beside it, where the table has sets."""
+    """Select scheduled and unscheduled sets, where the table has sets."""
     return {"purpose": "any"} if table in (SetRow, ShotRow, FeatureRow, ThicknessRow, AssessmentRow) else {}
 
 
@@ -199,7 +199,7 @@ _READ: dict[bytes, dict[int, bytes]] = {}
 
 
 def _counts(path: Path, content: bytes) -> dict[int, bytes]:
-    """Counts of each shot of a file, checked; the same bytes are read once."""
+    """Return checked counts of each shot of a file; the same bytes are read once."""
     if content not in _READ:
         reader, reference = FolderSetReader(path.parent), SetReference(path.name)
         assert (damages := reader.verify_set(reference)) == [], "; ".join(map(str, damages))
@@ -208,7 +208,7 @@ def _counts(path: Path, content: bytes) -> dict[int, bytes]:
     return _READ[content]
 
 
-def told_of_a_crash(
+def faults_after_crash(
     state: State,
     acknowledged: Sequence[int],
     folder: Path,
@@ -218,7 +218,7 @@ def told_of_a_crash(
     with_holes: bool = False,
     lost_pages: bool = False,
 ) -> list[str]:
-    """Start a recorder on what a crash left, twice, and say everything that is wrong; nothing is right.
+    """Start a recorder twice on what a crash left; return every fault found.
 
     Parameters
     ----------
@@ -232,7 +232,7 @@ def told_of_a_crash(
     """
     kind = settings.clock.kind
     write_state(state, folder)
-    wrong = [f"{name} is published and {told}" for name, told in _unreadable(folder)]
+    wrong = [f"{name} is published and {fault}" for name, fault in _unreadable(folder)]
     struck = record(settings, folder)
     again = {_of(key) for key in struck} & {whole.keys[number] for number in acknowledged}
     wrong += [f"{len(again)} acknowledged shots are struck again, {min(again)}"] if again else []
@@ -262,7 +262,7 @@ def told_of_a_crash(
         wrong.append("a second start strikes again")
     if aside:  # it reports what is in the quarantine in other words
         return wrong
-    wrong += [f"second start: {told}" for told in _differing(first.rows, rows_of(folder, kind))]
+    wrong += [f"second start: {fault}" for fault in _differing(first.rows, rows_of(folder, kind))]
     wrong += [f"second start: {name} changed" for name in _changed(files, _lasting(folder))]
     return wrong
 
@@ -296,18 +296,18 @@ def _not_behind(struck: set[tuple[str, int, int, int]], found: Outcome) -> list[
 def _without_numbers(rows: dict[str, list[Any]]) -> dict[str, list[Any]]:
     """Rows without numbers and times of shots and what depends on them, in an order that does not, either.
 
-    A set beside the plan is due once the planned one that asks for it has its last shot.
+    An unscheduled set is due once the scheduled one that requests it has its last shot.
     """
 
-    def bare(told: Any) -> Any:
-        if not isinstance(told, dict):
-            return told
+    def bare(content: Any) -> Any:
+        if not isinstance(content, dict):
+            return content
         depends = ("sequence", "file_sha256", "id")
-        if (told.get("set_index") or 0) >= PLANNED_SETS:
+        if (content.get("set_index") or 0) >= PLANNED_SETS:
             depends += ("due_h", "file")
         return {
             name: bare(value)
-            for name, value in told.items()
+            for name, value in content.items()
             if name not in depends and not name.endswith("_ns")
         }
 
@@ -325,7 +325,7 @@ def _differing(whole: dict[str, list[Any]], found: dict[str, list[Any]]) -> Iter
 
 
 def alike(one: Any, other: Any) -> bool:
-    """Compare rows exactly, and floats without numbers beside them to nine digits, or places where small.
+    """Compare rows exactly, and floats without numbers to nine digits, or places where small.
 
     A mean depends on the order of what it is of by its last digits, and so does all that follows from it.
     """
@@ -349,7 +349,7 @@ def _lasting(folder: Path) -> State:
 def _changed(before: State, after: State) -> list[str]:
     changed = {name for name in before.keys() | after.keys() if before.get(name) != after.get(name)}
     if after.get(HISTORY_FILE, b"").startswith(before.get(HISTORY_FILE, b"")):
-        changed.discard(HISTORY_FILE)  # a start is told there, behind what stood before
+        changed.discard(HISTORY_FILE)  # a start is logged there, after the earlier lines
     return sorted(changed)
 
 
@@ -374,7 +374,7 @@ def _sync(path: Path) -> None:
 
 
 def lost_of_kept_open(folder: Path, acknowledged: Sequence[int]) -> list[int]:
-    """Acknowledged shots that a reader of the file does not find."""
+    """Return acknowledged shots that a reader of the file does not find."""
     try:
         with h5py.File(folder / "open.h5", "r") as file:
             return [
@@ -400,7 +400,7 @@ def replaced(folder: Path, acknowledge: Callable[[int], None], *, synced: bool =
 
 
 def lost_of_replaced(folder: Path, acknowledged: Sequence[int]) -> list[int]:
-    """Acknowledged numbers that are not in the file."""
+    """Return acknowledged numbers that are not in the file."""
     path = folder / "shots"
     content = path.read_bytes() if path.exists() else b""
     found = np.frombuffer(content[: len(content) // 8 * 8], dtype="<i8").tolist()
@@ -422,7 +422,7 @@ DESIGNS: dict[str, Callable[[Path, Callable[[int], None]], object]] = {
 
 
 def main() -> None:
-    """Run designs under the library: ``DESIGN...``, each in a folder of its own with a trace beside it."""
+    """Run designs under the library: ``DESIGN...``, each in a folder of its own with its trace."""
     out = Path(sys.argv[1])
     for design in sys.argv[2:]:
         folder, trace = out / design, out / f"{design}.trace"

@@ -8,7 +8,7 @@ PAGE = 4096
 
 
 def damaged(content: bytes, number: int, *, used: int | None = None) -> bytes:
-    """Content with one damage; seven of ten are single flips.
+    """Return the content with one corruption; seven of ten are single flips.
 
     Parameters
     ----------

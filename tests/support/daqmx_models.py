@@ -28,7 +28,7 @@ METHOD = "forkserver" if "forkserver" in multiprocessing.get_all_start_methods()
 
 
 def context() -> multiprocessing.context.BaseContext:
-    """Return what starts processes; the server imports this module before it forks any."""
+    """Return the context that starts processes; the server imports this module before it forks."""
     made = multiprocessing.get_context(METHOD)
     if METHOD == "forkserver":
         here = Path(__file__).parents[1]
@@ -36,7 +36,7 @@ def context() -> multiprocessing.context.BaseContext:
         os.environ["PYTHONPATH"] = os.pathsep.join(path for path in paths if path)
         made.set_forkserver_preload(["support.daqmx_models", "support.daqmx_warm"])
         with pytest.MonkeyPatch.context() as patch:
-            patch.delenv("LD_LIBRARY_PATH", raising=False)  # a child finds no driver unless it is told one
+            patch.delenv("LD_LIBRARY_PATH", raising=False)  # a child finds no driver unless it gets one
             forkserver.ensure_running()
     return made
 
@@ -63,7 +63,7 @@ class _Ends:
         return len(text)
 
     def flush(self) -> None:
-        """Nothing is held back."""
+        """Do nothing: nothing is buffered."""
 
     def read(self) -> bytes:
         with suppress(EOFError):  # the end that is waited for
@@ -72,7 +72,7 @@ class _Ends:
 
 
 def serve(file: str, pipe: Connection) -> None:
-    """Child: ``python -m simulator.doubles`` until the other end of the pipe is closed."""
+    """Run ``python -m simulator.doubles`` in a child until the other end of the pipe is closed."""
     from simulator.doubles.__main__ import main
 
     sys.stdin = sys.stdout = _Ends(pipe)

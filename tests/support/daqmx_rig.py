@@ -1,4 +1,4 @@
-"""A double with a quick specimen behind it, and a driver told how it is wired."""
+"""A double with a quick specimen behind it, and a driver with its wiring."""
 
 from __future__ import annotations
 
@@ -97,7 +97,7 @@ def parameters_of(
 
 
 def why_no(transport: str) -> str:
-    """Say why this transport cannot be tested here, empty if it can."""
+    """Return why this transport cannot be tested here, empty if it can."""
     if transport == "library":
         return why_unavailable()
     from simulator.doubles.transports.grpc_front import why_unavailable as why_no_grpc
@@ -113,7 +113,7 @@ TRANSPORTS = [
 
 
 def meet(doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let the unmodified `nidaqmx` of this very process find the double of NI's library.
+    """Let the unmodified `nidaqmx` of this process find the double of NI's library.
 
     The loader read LD_LIBRARY_PATH when this process started. A library that is loaded already is found by
     its soname whatever the path says, so it is loaded by its file first.
@@ -134,7 +134,7 @@ READ_TIMEOUT_S = 60.0
 def take(
     rig: DaqmxInstruments, doubles: RunningDoubles, key: ShotKey, *, read_timeout_s: float = READ_TIMEOUT_S
 ) -> Acquired:
-    """Take one shot and tell the double which one it is."""
+    """Take one shot and announce its key to the double."""
     doubles.control.announce(key, HOUR_H)
     rig.digitizer.arm(key)
     rig.striker.strike(key)
@@ -142,7 +142,7 @@ def take(
 
 
 def counts_of_the_twin(description: Description, parameters: DaqmxParameters, key: ShotKey) -> Counts:
-    """Counts of this shot: the twin's volts through the polynomial of the board that samples it."""
+    """Return counts of this shot: the twin's volts through the polynomial of its board."""
     wiring = description.transducers[key.position]
     sampler = next(one for one in description.boards if one.serial_number == wiring.ai_serial)
     record = AdcParameters(
@@ -170,7 +170,7 @@ def _model(*parameters: Any) -> ShotModel:
 
 
 def coil_pulses_s(record: Mapping[str, Any]) -> list[float]:
-    """Length of every pulse in a double's record; fails if a line was left high."""
+    """Return the length of every pulse in a double's record; fail if a line was left high."""
     assert not any(record["levels"].values()), f"a coil is on: {record['levels']}"
     since, pulses_s = {}, []
     for event in record["lines"]:
@@ -182,7 +182,7 @@ def coil_pulses_s(record: Mapping[str, Any]) -> list[float]:
 
 
 def functions_of(record: Mapping[str, Any]) -> list[str]:
-    """Names of the calls in a double's record, in order."""
+    """Return names of the calls in a double's record, in order."""
     return [call["function"].removeprefix("DAQmx") for call in record["calls"]]
 
 
@@ -204,7 +204,7 @@ class Forwarder:
         self._ended.set()
         for end in (self._listener, *self._ends):
             with suppress(OSError):  # it has ended already
-                end.shutdown(socket.SHUT_RDWR)  # closing alone wakes nobody who waits for it
+                end.shutdown(socket.SHUT_RDWR)  # closing alone wakes no waiting thread
             end.close()
 
     def _accept(self) -> None:

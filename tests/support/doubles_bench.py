@@ -1,6 +1,6 @@
 """Doubles of NI's libraries for any suite: a brain in this process, or a running one that `nidaqmx` meets.
 
-A `conftest.py` beside the tests imports the fixtures: ``from doubles_bench import doubles, meeting``.
+A `conftest.py` next to the tests imports the fixtures: ``from doubles_bench import doubles, meeting``.
 A module sets ``DESCRIPTION`` for other boards than the default ones.
 """
 
@@ -30,7 +30,7 @@ from support.daqmx_models import running_brain
 
 
 def one_board_description(twin: TwinParameters | None = None) -> Description:
-    """One 16-bit board that serves B, C and D: inputs 0..2, counters 0..2."""
+    """Return one 16-bit board that serves B, C and D: inputs 0..2, counters 0..2."""
     serial = SIMULTANEOUS_16_BIT.serial_number
     return Description(
         boards=(SIMULTANEOUS_16_BIT,),
@@ -46,7 +46,7 @@ def one_board_description(twin: TwinParameters | None = None) -> Description:
 
 
 class SteppedClock:
-    """Time that passes only while somebody waits, and then at once up to the next thing to happen."""
+    """Time that passes only during a wait, and then at once up to the next thing to happen."""
 
     def __init__(self, now_ns: int = 1_000_000_000) -> None:
         self.time_ns = now_ns
@@ -113,7 +113,7 @@ class Caller:
         level: float = 0.25,
         range_v: float = 5.0,
     ) -> int:
-        """Task that waits for a strike at the first channel."""
+        """Create a task that waits for a strike at the first channel."""
         task: int = self("CreateTask", session_name=name)["task"]
         self("CreateAIVoltageChan", task, physical_channel=channel, min_val=-range_v, max_val=range_v)
         self("CfgSampClkTiming", task, rate=rate, samps_per_chan=samples)
@@ -127,13 +127,13 @@ class Caller:
         return task
 
     def coil(self, counter: str, *, name: str = "", **times: Any) -> int:
-        """Task that pulses a coil once."""
+        """Create a task that pulses a coil once."""
         task: int = self("CreateTask", session_name=name)["task"]
         self("CreateCOPulseChanTime", task, counter=counter, **times)
         return task
 
     def is_done(self, task: int) -> bool:
-        """Tell whether a task would not have to be waited for."""
+        """Return whether a task has ended."""
         try:
             self("WaitUntilTaskDone", task, time_to_wait=0.0)
         except Status as status:
@@ -143,20 +143,20 @@ class Caller:
         return True
 
     def control(self, task: int, action: int) -> None:
-        """`DAQmxTaskControl`."""
+        """Call `DAQmxTaskControl`."""
         self("TaskControl", task, action=action)
 
 
 @pytest.fixture
 def doubles_description(request: pytest.FixtureRequest) -> Description | None:
-    """The module's ``DESCRIPTION``, None for the default boards."""
+    """Return the module's ``DESCRIPTION``, None for the default boards."""
     found: Description | None = getattr(request.module, "DESCRIPTION", None)
     return found
 
 
 @pytest.fixture(scope="session")
 def double_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Folder of libnidaqmx; the test is skipped with its reason where it cannot be built."""
+    """Return the folder of libnidaqmx; skip the test with the reason if it cannot be built."""
     if reason := why_unavailable():
         pytest.skip(reason)
     return build_library("nidaqmx", tmp_path_factory.mktemp("doubles"))
@@ -164,14 +164,14 @@ def double_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def doubles(request: pytest.FixtureRequest) -> Iterator[RunningDoubles]:
-    """One running double for a module; whoever breaks it starts its own."""
+    """Yield one running double for a module; a test that breaks it starts its own."""
     with running_brain(getattr(request.module, "DESCRIPTION", None) or default_description()) as running:
         yield running
 
 
 @pytest.fixture
 def meeting(doubles: RunningDoubles, double_library: Path, monkeypatch: pytest.MonkeyPatch) -> RunningDoubles:
-    """A running double that the `nidaqmx` of this very process meets; its record starts empty."""
+    """Yield a running double that the `nidaqmx` of this process finds, with an empty record."""
     meet(doubles, double_library, monkeypatch)
     doubles.control.clear_faults()
     doubles.control.clear_record()
@@ -179,7 +179,7 @@ def meeting(doubles: RunningDoubles, double_library: Path, monkeypatch: pytest.M
 
 
 def meet(doubles: RunningDoubles, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let this process find the double's library.
+    """Let this process find the library of the double.
 
     The loader read LD_LIBRARY_PATH when this process started. A library that is loaded already is found by
     its soname whatever the path says, so it is loaded by its file first.

@@ -17,7 +17,7 @@ RAISED = {("B", "transducer_change"): 23, ("C", "hole"): 22}
 
 @cache
 def record_of(position: str, set_index: int, shot_index: int) -> Waveform:
-    """Record of a shot; the same key gives the same one."""
+    """Return the record of a shot; the same key gives the same record."""
     later = max(0, set_index - BASELINE_SETS) if position == "B" else 0
     reflects = position == "B" or set_index < FIRST_SILENT
     scene = Scene(
@@ -32,7 +32,7 @@ def record_of(position: str, set_index: int, shot_index: int) -> Waveform:
 
 
 def drifting_wall(folder: Path) -> Line:
-    """Record 25 planned sets of it, of which the first 15 are the baseline."""
+    """Record 25 scheduled sets; the first 15 are the baseline."""
     settings = memory_settings(
         schedule={"phases": [{"until_h": 12.5, "interval_h": 0.5}], "shots_per_set": 3},
         baseline={"hours": 7.5, "minimum_sets": 15},

@@ -18,7 +18,7 @@ def die_while_answering() -> bytes:
 
 
 def die_once(noted: Path, number: int) -> int:
-    """Return the number; whoever does it first is gone in the midst of it, without a word."""
+    """Return the number; the first process that runs this dies silently."""
     if not noted.exists():
         noted.touch()
         os._exit(9)
@@ -26,5 +26,5 @@ def die_once(noted: Path, number: int) -> int:
 
 
 def die_always(number: int) -> int:
-    """Kill whoever does it."""
+    """Kill the process that runs this."""
     os._exit(9)

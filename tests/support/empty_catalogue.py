@@ -11,7 +11,7 @@ from daq_service.catalogue import open_catalogue
 
 @cache
 def empty_catalogue() -> bytes:
-    """Return the content of its file."""
+    """Return the content of an empty catalogue file."""
     with tempfile.TemporaryDirectory() as place:
         with open_catalogue(Path(place), writer=True):
             pass

@@ -51,12 +51,12 @@ PULSE_ECHO = Scene(
 
 
 def depth(position: str, hour: float) -> float:
-    """Lost part of the wall: B and C thin, D stays."""
+    """Return the wall loss fraction: B and C become thinner, D stays."""
     return {"B": 0.7, "C": 0.55}.get(position, 0.0) * max(0.0, hour - 40.0) / 310.0
 
 
 def frozen_baseline(position: str, **columns: object) -> BaselineRow:
-    """Row of a baseline as the recorder freezes one."""
+    """Return the row of a baseline as the recorder freezes it."""
     p = len(FEATURE_NAMES)
     row = BaselineRow(
         name=f"{position}-baseline-1",
@@ -81,15 +81,15 @@ class FilledFolder:
     """Adds sets as a recorder would: file first, then rows and events in one transaction."""
 
     def __init__(
-        self, folder: Path, settings: Settings, *, shots_per_set: int = 1, begun: bool = False
+        self, folder: Path, settings: Settings, *, shots_per_set: int = 1, exists: bool = False
     ) -> None:
         self.folder, self.settings, self.shots_per_set = folder, settings, shots_per_set
         self.epoch_ns = parse_utc(settings.clock.epoch)
         self.due = plan(settings.schedule.phases, self.epoch_ns, end_h=settings.schedule.end_h)
-        if not begun:
+        if not exists:
             (folder / "catalogue.sqlite").write_bytes(empty_catalogue())
         self.catalogue = open_catalogue(folder, writer=True)
-        if not begun:
+        if not exists:
             self.catalogue.create_experiment(
                 name=settings.name,
                 configuration_hash=settings.configuration_hash(),
@@ -103,7 +103,7 @@ class FilledFolder:
         self._ownership = ExitStack()
         self._ownership.enter_context(own_data_folder(folder))
         self.beat()
-        if not begun:
+        if not exists:
             self.say("recorder_started", 0)
 
     def recorder_ends(self) -> None:
@@ -156,9 +156,9 @@ class FilledFolder:
         }
 
     def add_set(
-        self, index: int, *, stored: bool = True, shown: bool = False, judged: bool = True
+        self, index: int, *, stored: bool = True, shown: bool = False, assessed: bool = True
     ) -> list[int]:
-        """One set of all positions; returns its events' ids."""
+        """Add one set of all positions; return the ids of its events."""
         due = self.due[index]
         commit = SetCommit()
         records = self._records(due)
@@ -211,7 +211,7 @@ class FilledFolder:
                 commit.features.append(
                     FeatureRow(**common, shot_index=None, sequence=None, n_valid=len(its), **found)
                 )
-                if judged:
+                if assessed:
                     commit.assessments.append(self.assessment(position, index, due.due_h))
             commit.events += self._events(due, position, place.method)
         committed = self.catalogue.commit_set(commit)
@@ -255,7 +255,7 @@ class FilledFolder:
     def add_confirmation(
         self, position: str, planned_set: int, authors: tuple[str, ...] = ("",), file: str | None = None
     ) -> int:
-        """A set beside the plan, a minute after a planned one, that confirms it; returns its index.
+        """Add an unscheduled set, a minute after a scheduled one, that confirms it; return its index.
 
         ``authors`` asked for it, of which "" is suspicion.
         """
@@ -280,8 +280,8 @@ class FilledFolder:
         common = {"quality": "good", "extractor_version": "1", "n_valid": self.shots_per_set}
         found = self.features(position, planned_set, due.due_h)
         transaction.features.append(FeatureRow(**its, **common, **found, shot_index=None, sequence=None))
-        judged = self.assessment(position, planned_set, due.due_h)
-        transaction.assessments.append(replace(judged, **its, distance_squared=400.0, confirms=True))
+        assessment = self.assessment(position, planned_set, due.due_h)
+        transaction.assessments.append(replace(assessment, **its, distance_squared=400.0, confirms=True))
         self.catalogue.commit_set(transaction)
         return due.set_index
 
@@ -333,7 +333,7 @@ class FilledFolder:
         return self.catalogue.commit_set(commit).alarm_ids[0]
 
     def add_environment(self, index: int) -> None:
-        """Supply and climate around a set: 10 V and 5 mA, the probe a little late and without humidity."""
+        """Add supply and climate around a set: 10 V, 5 mA, a late climate reading without humidity."""
         due = self.due[index]
         row = EnvironmentRow(
             set_index=index,
@@ -368,7 +368,7 @@ class FilledFolder:
     def annotate(
         self, from_h: float, text: str, *, to_h: float | None = None, position: str | None = None
     ) -> int:
-        """Note something, as the recorder does."""
+        """Add a note, as the recorder does."""
         row = AnnotationRow(
             position=position,
             from_h=from_h,
@@ -383,13 +383,13 @@ class FilledFolder:
         return self.catalogue.commit_set(transaction).annotation_ids[0]
 
     def show(self, records, hour: float) -> None:
-        """Replace the live pictures, as often as a test wants."""
+        """Replace the live waveforms."""
         for record in records:
             found = extract_features(record.waveform) if isinstance(record, Shot) else None
             self.live.show(record, due_h=hour, features=found)
 
     def retire(self, position: str, index: int) -> None:
-        """Retire a transducer: its alarm, and the row of a planned set that it did not take."""
+        """Disable a transducer: add its alarm, and the row of a scheduled set that it missed."""
         self.add_alarm(position, index, kind="retired", message=f"10 sets running with nothing at {position}")
         due, method = self.due[index], self.settings.positions[position].method
         row = SetRow(
@@ -413,7 +413,7 @@ class FilledFolder:
         self.catalogue.commit_set(SetCommit(sets=[row], events=[event]))
 
     def reinstate(self, position: str) -> None:
-        """Reset the alarm that retired a transducer, as the recorder does."""
+        """Reset the alarm that disabled a transducer, as the recorder does."""
         alarms = self.catalogue.rows(AlarmRow, position=position, active=True)
         (row,) = [alarm for alarm in alarms if alarm.kind == "retired"]
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
@@ -429,21 +429,21 @@ class FilledFolder:
         )
         self.catalogue.commit_set(SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0}))
 
-    def shelve(self, alarm_id: int, because: str, *, for_h: float) -> None:
-        """Shelve an alarm, as the recorder does, from when it was raised and from now on."""
+    def shelve(self, alarm_id: int, reason: str, *, for_h: float) -> None:
+        """Shelve an alarm, as the recorder does, once when raised and once at the present time."""
         row = self.catalogue.alarm(alarm_id)
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
-        self._change(shelve(row, "ann", because, for_h, moment, time.time_ns()), moment)
+        self._change(shelve(row, "ann", reason, for_h, moment, time.time_ns()), moment)
 
     def acknowledge(self, alarm_id: int, command) -> None:
-        """Carry out an order as the recorder does."""
+        """Execute an acknowledgement as the recorder does."""
         row = self.catalogue.alarm(alarm_id)
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
         self._change(acknowledge(row, command.author, command.arguments["note"], moment), moment)
         self.catalogue.finish_command(command.id, "done", "acknowledged")
 
     def records(self, index: int):
-        """The records of a set, the same at every call."""
+        """Return the records of a set, the same at every call."""
         return self._records(self.due[index])
 
     def show_set(self, index: int) -> None:

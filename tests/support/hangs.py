@@ -14,7 +14,7 @@ from collections.abc import Iterator
 import pytest
 
 GRACE_S = 120.0
-"""After the time limit: what it interrupted still puts in order what it has begun."""
+"""After the time limit: the interrupted test still cleans up."""
 
 
 class HangGuard:

@@ -13,7 +13,7 @@ CORRELATED[0, 1] = CORRELATED[1, 0] = 0.985
 
 
 def remembering(random_numbers, phi):
-    """First-order autoregression of each column, with the variance of what it is made of."""
+    """Return a first-order autoregression of each column, with the variance of its innovations."""
     made = [
         lfilter([np.sqrt(1.0 - f * f)], [1.0, -f], random_numbers[:, j])
         for j, f in enumerate(np.broadcast_to(phi, P))
@@ -22,7 +22,7 @@ def remembering(random_numbers, phi):
 
 
 def healthy(name, n_sets, random):
-    """Sets of variance 1, shape (n_sets, 5)."""
+    """Return sets of variance 1, shape (n_sets, 5)."""
     normal = random.standard_normal((n_sets + SETTLED, P))
     # Student's t with 5 degrees, all features by one divisor: a set as a whole is far off.
     heavy = normal * np.sqrt(3.0 / random.chisquare(5, (n_sets + SETTLED, 1)))

@@ -1,4 +1,4 @@
-"""A short test's data folder, recorded once a process and laid out anew for each test that damages it."""
+"""A short test's data folder, recorded once a process and written again for each test that corrupts it."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SETS = 3
 
 @cache
 def recorded() -> Mapping[str, bytes]:
-    """Files of a test that came to its end, by their paths."""
+    """Return the files of a finished test, by their paths."""
     settings = small_settings(schedule={**SMALL["schedule"], "end_h": SETS * 0.5})
     with tempfile.TemporaryDirectory() as place:
         folder = Path(place) / "data"
@@ -28,7 +28,7 @@ def recorded() -> Mapping[str, bytes]:
 
 
 def lay_out(folder: Path) -> Path:
-    """Write that folder to a place, and return it."""
+    """Write that folder to a path, and return it."""
     if folder.exists():
         shutil.rmtree(folder)
     for name, content in recorded().items():
@@ -38,7 +38,7 @@ def lay_out(folder: Path) -> Path:
 
 
 def state_of(folder: Path) -> dict[str, tuple[int, int, bytes]]:
-    """Every file and folder with its time and bytes: what a look must not change."""
+    """Return every file and folder with its time and bytes: reading must not change them."""
     return {
         path.relative_to(folder).as_posix(): (
             path.stat().st_ino,

@@ -59,16 +59,16 @@ EVENT_OF: Mapping[str, str] = {
     "approve_baseline": "baseline_approved",
     "renew_baseline": "baseline_retired",
 }
-"""Kind of an order, and of the event that tells of what it did."""
+"""Kind of a command, and of the event with its result."""
 
 
 def person(number: int) -> str:
-    """Who gives an order: everybody gives one, and is named in its event."""
+    """Return the person who gives a command; each command has one in its event."""
     return f"person {number:06d}"
 
 
 def alarm_orders(alarm_id: int) -> list[tuple[str, dict[str, Any]]]:
-    """Path and body of each order about an alarm, each possible after those before it."""
+    """Return path and body of each alarm command, each possible after those before it."""
     return [
         (f"alarms/{alarm_id}/acknowledge", {"note": "seen"}),
         command("shelve_alarm", alarm_id=alarm_id, for_h=8.0, reason="a new coil comes"),
@@ -79,17 +79,17 @@ def alarm_orders(alarm_id: int) -> list[tuple[str, dict[str, Any]]]:
 
 
 def note() -> tuple[str, dict[str, Any]]:
-    """Path and body of an annotation."""
+    """Return path and body of a note."""
     return command("annotate", from_h=1.0, to_h=2.0, text="couplant renewed")
 
 
 def command(kind: str, **arguments: str | float) -> tuple[str, dict[str, Any]]:
-    """Path and body of an order that has no path of its own."""
+    """Return path and body of a command without its own path."""
     return "commands", {"kind": kind, "arguments": arguments}
 
 
 def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None]:
-    """Begin as the recorder that takes a folder over, without its rig.
+    """Start as a recorder that takes over a folder, without its rig.
 
     Each call of what is returned carries out what waits, and lets the history follow.
     """
@@ -100,10 +100,10 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
     def moment() -> Moment:
         return Moment(utc_ns=clock.utc_ns(), due_h=0.0, set_index=None)
 
-    def confirmation(position: str, author: str, because: str) -> Transaction:
+    def confirmation(position: str, author: str, reason: str) -> Transaction:
         transaction = Transaction()
         first = plan(WAVES_ONLY.schedule.phases, clock.utc_ns())[0]
-        ledger.confirmations.add(because, first, position, moment(), transaction, author)
+        ledger.confirmations.add(reason, first, position, moment(), transaction, author)
         return transaction
 
     test = RunningTest(
@@ -134,7 +134,7 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
 
 
 def give_each(folder: Path, trace: Path) -> None:
-    """Give an order of each kind and carry it out; a mark in the trace says that its client was answered."""
+    """Give and execute a command of each kind; a mark in the trace shows that its client was answered."""
     filled = FilledFolder(folder, WAVES_ONLY)
     with (folder / FILE_NAME).open("rb+") as file:
         os.fsync(file.fileno())  # a copy, which nobody has made durable
@@ -172,7 +172,7 @@ def restart(folder: Path) -> None:
 
 
 def wrong_with(folder: Path, answered: Collection[int]) -> list[str]:
-    """Everything that is neither done once nor refused, when nobody carries orders out any more.
+    """Return every command that was neither executed once nor rejected, when no recorder runs any more.
 
     Parameters
     ----------
@@ -200,12 +200,12 @@ def wrong_with(folder: Path, answered: Collection[int]) -> list[str]:
     for name, found in rows.items():
         newest = {event.payload[name]: event.payload for event in events if name in event.payload}
         kind = AlarmRow if name == "alarm_id" else AnnotationRow
-        told = [
+        from_events = [
             # An event may say more than its row: who reset an alarm.
             kind(**{key: value for key, value in {**payload, "id": number}.items() if key in kind.__slots__})
             for number, payload in newest.items()
         ]
-        if sorted(told, key=lambda row: row.id or 0) != found:
+        if sorted(from_events, key=lambda row: row.id or 0) != found:
             wrong.append(f"rows differ from what events tell, by {name}")
     if history.events != {row.id: row for row in events}:
         wrong.append("events and history differ")

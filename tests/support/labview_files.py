@@ -16,7 +16,7 @@ Properties = Mapping[str, Any]
 
 
 def polynomial(coefficients, *, scale=0, source=None) -> dict[str, Any]:
-    """Scale number ``scale`` as DAQmx and LabVIEW write it."""
+    """Return scale number ``scale`` as DAQmx and LabVIEW write it."""
     prefix = f"NI_Scale[{scale}]_"
     properties: dict[str, Any] = {
         f"{prefix}Scale_Type": "Polynomial",
@@ -29,13 +29,13 @@ def polynomial(coefficients, *, scale=0, source=None) -> dict[str, Any]:
 
 
 def time_stamp(utc_ns: int) -> TdmsTimestamp:
-    """Nanoseconds of UTC as LabVIEW's time: seconds since 1904 and 2^-64 of a second."""
+    """Convert nanoseconds of UTC to LabVIEW time: seconds since 1904 and 2^-64 of a second."""
     seconds, rest_ns = divmod(utc_ns, 1_000_000_000)
     return TdmsTimestamp(seconds + 2_082_844_800, (rest_ns << 64) // 1_000_000_000)
 
 
 def waveform_properties(waveform: Waveform, utc_ns: int | None = None) -> dict[str, Any]:
-    """What LabVIEW tells of a waveform of volts."""
+    """Return the properties that LabVIEW writes for a waveform of volts."""
     return {
         "wf_increment": 1.0 / waveform.sample_rate_hz,
         "wf_start_offset": -waveform.pretrigger_samples / waveform.sample_rate_hz,
@@ -46,7 +46,7 @@ def waveform_properties(waveform: Waveform, utc_ns: int | None = None) -> dict[s
 
 
 def raw_properties(waveform: Waveform, utc_ns: int | None = None) -> dict[str, Any]:
-    """What DAQmx tells of unscaled codes."""
+    """Return the properties that DAQmx writes for unscaled codes."""
     return {
         **waveform_properties(waveform, utc_ns),
         "NI_Scaling_Status": "unscaled",
@@ -74,7 +74,7 @@ def write(
 
 
 def write_set(folder: Path, set_index: int, records: Iterable[Shot | PulseEchoRecord]) -> Path:
-    """A set in the mapping's default layout: file a set, group a position, channel a shot; raw codes."""
+    """Write a set in the default layout: file per set, group per position, channel per shot; raw codes."""
     return write(
         folder / f"set_{set_index:06d}.tdms",
         [

@@ -22,7 +22,7 @@ from pathlib import Path
 import pytest
 
 GRACE_S = 10.0
-"""What was told to end takes a moment, on a loaded machine a long one; only a leak waits it out."""
+"""A process asked to end takes a moment, on a loaded machine a long one; only a leak waits it out."""
 
 LONG_LIVED_FILES = {
     r"anon_inode:.*": "the pollers of gRPC's core, one for the life of a process",
@@ -35,12 +35,12 @@ MARK = "STARTED_BY_TESTS_OF"
 
 
 def mark_descendants() -> None:
-    """Have every process that this one starts carry its id."""
+    """Let every process that this one starts carry its id."""
     os.environ[MARK] = str(os.getpid())
 
 
 def open_what_lasts() -> None:
-    """Open before the first look what a process opens once: libuv's pipe for signals."""
+    """Open in advance what a process opens once: the pipe of libuv for signals."""
     if importlib.util.find_spec("uvloop") is not None:
         import uvloop
 
@@ -48,12 +48,12 @@ def open_what_lasts() -> None:
 
 
 def _servants() -> set[str]:
-    """Processes of multiprocessing's two servers, which live as long as the interpreter."""
+    """Return the processes of the two multiprocessing servers, which live as long as the interpreter."""
     return {str(resource_tracker._resource_tracker._pid), str(forkserver._forkserver._forkserver_pid)}
 
 
 def _lines_to_servants() -> set[str]:
-    """Descriptors that keep these servers alive."""
+    """Return descriptors that keep these servers alive."""
     return {str(resource_tracker._resource_tracker._fd), str(forkserver._forkserver._forkserver_alive_fd)}
 
 
@@ -115,7 +115,7 @@ def _open_files() -> set[str]:
 
 
 def _is_deserted(thing: str) -> bool:
-    """Tell whether this is a connection whose other end is gone.
+    """Return whether this is a connection whose other end is closed.
 
     The double of NI's library keeps its connection, as NI's driver does, until it is called again; one that
     Python forgets to close warns, and the warning fails its test.
@@ -125,7 +125,7 @@ def _is_deserted(thing: str) -> bool:
 
 
 def _connected() -> set[str]:
-    """Inodes of this machine's sockets but for those that wait to be closed."""
+    """Return inodes of this machine's sockets except those that wait to be closed."""
     close_wait, found = "08", set()
     for table, inode in (("tcp", 9), ("tcp6", 9), ("udp", 9), ("udp6", 9), ("unix", 6)):
         lines = (PROC / "self" / "net" / table).read_text(encoding="ascii", errors="replace").splitlines()[1:]
@@ -179,10 +179,10 @@ class LeakGuard:
                 self._since.setdefault(thing, item.nodeid)
             return
         left = self._after_grace(left)
-        told = [f"{thing}, there since {self._since.get(thing, item.nodeid)}" for thing in sorted(left)]
+        leaked = [f"{thing}, there since {self._since.get(thing, item.nodeid)}" for thing in sorted(left)]
         self._since.clear()
-        if told:
-            pytest.fail("left behind: " + "; ".join(told), pytrace=False)
+        if leaked:
+            pytest.fail("left behind: " + "; ".join(leaked), pytrace=False)
 
     def _after_grace(self, left: set[str]) -> set[str]:
         deadline_s, pause, rounds = time.monotonic() + self._grace_s, threading.Event(), 0

@@ -35,19 +35,19 @@ Need = tuple[str, Requirement]
 
 @cache
 def installed() -> dict[str, Distribution]:
-    """Every package that somebody installed, by its normalised name; without Python's own."""
+    """Return every installed package by its normalized name, without those of Python."""
     found = {canonicalize_name(one.metadata["Name"]): one for one in distributions()}
     return {name: one for name, one in sorted(found.items()) if name not in BROUGHT_BY_PYTHON}
 
 
 @cache
 def _wanted(name: str) -> tuple[Requirement, ...]:
-    """What an installed package says that it needs, parsed once for all systems and extras."""
+    """Return the requirements of an installed package for all systems and extras, parsed once."""
     return tuple(map(Requirement, installed()[name].requires or []))
 
 
 def needs(extra: str, system: Mapping[str, str]) -> Iterator[Need]:
-    """Whatever solimon with an extra ("": without any) needs on a system, as far as packages are here."""
+    """Yield the requirements of solimon with an extra ("": without any) on a system, as far as installed."""
     here, left, seen = installed(), [(OURS, extra), (OURS, "")], set[tuple[str, str]]()
     while left:
         name, its_extra = left.pop()
@@ -61,19 +61,19 @@ def needs(extra: str, system: Mapping[str, str]) -> Iterator[Need]:
 
 
 def licence_of(package: Distribution) -> str:
-    """SPDX expression, else classifiers, else the first line of the licence's text, else where it lies."""
-    told = metadata(package.metadata["Name"])
-    if expression := told["License-Expression"]:
+    """Return the SPDX expression, else classifiers, else the first line of the text, else its file."""
+    fields = metadata(package.metadata["Name"])
+    if expression := fields["License-Expression"]:
         return str(expression)
-    classified = [text for text in told.get_all("Classifier") or [] if text.startswith("License :: OSI")]
+    classified = [text for text in fields.get_all("Classifier") or [] if text.startswith("License :: OSI")]
     if classified:
         return "; ".join(sorted(text.rpartition(" :: ")[2] for text in classified))
-    first_line = str(told["License"] or "").strip().partition("\n")[0][:_LONGEST]
-    return first_line or f"in its {', '.join(told.get_all('License-File') or [])}"
+    first_line = str(fields["License"] or "").strip().partition("\n")[0][:_LONGEST]
+    return first_line or f"in its {', '.join(fields.get_all('License-File') or [])}"
 
 
 def brought() -> dict[str, str]:
-    """Each installed package that solimon needs, and the extra that brings it ("": none of them)."""
+    """Return each installed package that solimon needs, with the extra that requires it ("": none)."""
     found: dict[str, str] = {}
     for extra in ("", *EXTRAS):
         for _, wanted in needs(extra, {}):
@@ -82,7 +82,7 @@ def brought() -> dict[str, str]:
 
 
 def rows() -> dict[str, str]:
-    """Row of the table by the name of the package."""
+    """Return the rows of the table by package name."""
     here = installed()
     return {
         name: f"| {name} | {licence_of(here[name])} | {f'`{extra}`' if extra else 'solimon'} |"

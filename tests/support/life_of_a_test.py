@@ -1,4 +1,4 @@
-"""A test on a rig in memory, with its sets in files, in which happens what nobody can compute again."""
+"""A test on a rig in memory, with its sets in files, with events that cannot be computed again."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ STOPS = [("B", 4, 2), ("C", 8, 3)]
 
 
 def run(line: Line, **options: Any) -> None:
-    """Run a recorder on the folder's own archive, as a session does; the history follows it."""
+    """Run a recorder on the archive of the folder, as a session does; the history follows it."""
     archive = FiledArchive(line.folder)
     line.run(archive=archive, **options)
     archive.close()
@@ -44,10 +44,10 @@ def run(line: Line, **options: Any) -> None:
 
 
 def lived(folder: Path) -> Line:
-    """A test with everything that nobody can compute: gaps, orders, holds, retirements, repetitions.
+    """Record a test with all irreproducible data: gaps, commands, pauses, disabled transducers, repetitions.
 
     D is silent from set 2 on, retires by rule and is reinstated; the recorder is stopped twice, and down for
-    one set; baselines freeze, C's is retired before and begun again; the wall changes at B.
+    one set; baselines freeze, C's is retired before and started again; the wall changes at B.
     """
     line = Line(folder, listen_every_s=0.0)
     orders, stops, stop = dict(ORDERS), set(STOPS), threading.Event()

@@ -34,7 +34,7 @@ def _swept(executor: str) -> str:
 
 
 def main(folder: Path) -> dict[str, Any]:
-    """Carry it out."""
+    """Run sweeps and replays on a local cluster; print the results as JSON."""
     line = drifting_wall(folder)
     with LocalCluster(
         n_workers=2, threads_per_worker=1, dashboard_address=None, silence_logs=logging.ERROR
@@ -42,17 +42,17 @@ def main(folder: Path) -> dict[str, Any]:
         name = cluster.scheduler_address.replace("tcp://", "dask://")
         with opened_executor(name, 1) as executor:
             futures = [executor.submit(die_once, folder / "noted", number) for number in range(6)]
-            told: dict[str, Any] = {
+            results: dict[str, Any] = {
                 "workers": workers_of(executor, 1),
                 "done": [future.result() for future in futures],
                 "died": (folder / "noted").exists(),
             }
-        told["sweep"] = {"cluster": _swept(name), "threads": _swept("threads")}
-        told["replay"] = [
+        results["sweep"] = {"cluster": _swept(name), "threads": _swept("threads")}
+        results["replay"] = [
             {"sets": found.sets, "differences": found.differences, "kept": len(found.alarms.kept)}
             for found in (replayed(line.folder, (), extract_by=by) for by in ((name, 1), ("processes", 2)))
         ]
-    return told
+    return results
 
 
 if __name__ == "__main__":

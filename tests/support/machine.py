@@ -1,4 +1,4 @@
-"""A computer whose clocks pass only while somebody sleeps: set, drifting, started again."""
+"""A computer whose clocks advance only during a sleep: set, drifting, restarted."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Machine:
         self._planned: list[tuple[int, Callable[[], None]]] = []
 
     def after(self, hours: float, action: Callable[[], None]) -> None:
-        """Let something happen when so much more has elapsed."""
+        """Schedule a function for when this much more time has elapsed."""
         self._planned.append((self.elapsed_ns + round(hours * NS_PER_H), action))
 
     def set_clock(self, by_h: float) -> None:
@@ -35,11 +35,11 @@ class Machine:
         self.utc_ns += round(by_h * NS_PER_H)
 
     def start_again(self, utc_ns: int) -> None:
-        """Boot, with a clock that says ``utc_ns``."""
+        """Boot with the clock at ``utc_ns``."""
         self.utc_ns, self.elapsed_ns, self.boot = utc_ns, 30 * NS_PER_S, f"{self.boot} again"
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass, and happen what is planned for it."""
+        """Let time pass and run what is scheduled for it."""
         passed_ns = round(seconds * NS_PER_S)
         self.elapsed_ns += passed_ns
         self.utc_ns += passed_ns + passed_ns * self.drift_ppm // 1_000_000

@@ -53,45 +53,45 @@ class MemoryArchive:
 
     def __init__(self, shelf: Shelf | None = None) -> None:
         self.shelf = Shelf() if shelf is None else shelf
-        self._begun: dict[int, OpenSet] = {}
+        self._open_sets: dict[int, OpenSet] = {}
 
-    def begin_set(self, set_index: int, **begun: Any) -> None:
-        last_utc_ns = begun["started_utc_ns"]
-        self._begun[set_index] = OpenSet(set_index=set_index, last_utc_ns=last_utc_ns, **begun)
+    def begin_set(self, set_index: int, **open_set: Any) -> None:
+        last_utc_ns = open_set["started_utc_ns"]
+        self._open_sets[set_index] = OpenSet(set_index=set_index, last_utc_ns=last_utc_ns, **open_set)
 
     def append(self, taken: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
-        begun = self._begun.get(taken.key.set_index)
-        if begun is None:
+        open_set = self._open_sets.get(taken.key.set_index)
+        if open_set is None:
             return
         name = "missed" if isinstance(taken, MissedRecord) else "records"
-        added: Any = {name: [*getattr(begun, name), taken]}
-        last_utc_ns = max(begun.last_utc_ns, utc_ns)
-        self._begun[taken.key.set_index] = replace(begun, last_utc_ns=last_utc_ns, **added)
+        added: Any = {name: [*getattr(open_set, name), taken]}
+        last_utc_ns = max(open_set.last_utc_ns, utc_ns)
+        self._open_sets[taken.key.set_index] = replace(open_set, last_utc_ns=last_utc_ns, **added)
 
     def close(self) -> None:
-        """Nothing is held."""
+        """Do nothing: no resource is held."""
 
     def digest(self, reference: SetReference) -> None:
-        """Nothing has a file."""
+        """Return no digest: there are no files."""
 
     def sync(self) -> list[int]:
-        before = {item.sequence for begun in self.shelf.open.values() for item in begun.records}
-        self.shelf.open |= self._begun
-        now = [item.sequence for begun in self._begun.values() for item in begun.records]
+        before = {item.sequence for open_set in self.shelf.open.values() for item in open_set.records}
+        self.shelf.open |= self._open_sets
+        now = [item.sequence for open_set in self._open_sets.values() for item in open_set.records]
         return [sequence for sequence in now if sequence not in before]
 
     def open_sets(self) -> dict[int, OpenSet]:
         return dict(self.shelf.open)
 
     def resume_set(self, opened: OpenSet) -> None:
-        self._begun[opened.set_index] = opened
+        self._open_sets[opened.set_index] = opened
 
     def places(self, set_index: int) -> Places:
-        """Memory has no segments."""
+        """Return no byte ranges: memory has no segments."""
         return {}
 
     def settle(self, set_index: int) -> None:
-        self._begun.pop(set_index, None)
+        self._open_sets.pop(set_index, None)
         self.shelf.open.pop(set_index, None)
 
     def store_set(self, record: SetRecord) -> StoredSet:
@@ -101,7 +101,9 @@ class MemoryArchive:
             record,
             provenance=json.loads(json.dumps(record.provenance, allow_nan=False)),
             environment={name: value for name, value in record.environment.items() if value is not None},
-            outcomes={sequence: told for sequence, told in record.outcomes.items() if told != "accepted"},
+            outcomes={
+                sequence: outcome for sequence, outcome in record.outcomes.items() if outcome != "accepted"
+            },
         )
         if stored is not None and bits(self.shelf.sets[stored]) != bits(record):
             raise ConflictingSetError(f"set {record.set_index} is stored already in {stored} and differs")
@@ -133,7 +135,9 @@ class MemoryArchive:
             record,
             shots=[shot for shot in record.shots if shot.sequence not in lost],
             echoes=[echo for echo in record.echoes if echo.sequence not in lost],
-            outcomes={sequence: told for sequence, told in record.outcomes.items() if sequence not in lost},
+            outcomes={
+                sequence: outcome for sequence, outcome in record.outcomes.items() if sequence not in lost
+            },
         )
 
     def read_waveform(self, reference: SetReference, position: str, shot_index: int) -> Waveform:
@@ -164,7 +168,7 @@ class MemoryArchive:
 
 
 def bits(value: Any) -> Any:
-    """Everything of a record as plain values that are equal if every bit is."""
+    """Return a record as plain values that are equal if every bit is."""
     if is_dataclass(value):
         return (type(value).__name__, *(bits(getattr(value, item.name)) for item in fields(value)))
     if isinstance(value, np.ndarray):

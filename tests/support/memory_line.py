@@ -78,7 +78,7 @@ def _default_settings() -> Settings:
 
 
 def memory_settings(**tables: Mapping[str, Any]) -> Settings:
-    """Settings of twelve sets of a probe (A) and three transducers (B, C, D); ``tables`` lie over them."""
+    """Return settings of twelve sets of a probe (A) and three transducers; ``tables`` override them."""
     if not tables:
         return _default_settings()
     over = {name: {**MEMORY.get(name, {}), **table} for name, table in tables.items()}
@@ -86,7 +86,7 @@ def memory_settings(**tables: Mapping[str, Any]) -> Settings:
 
 
 def healthy(key: ShotKey, shift: float = 0.0) -> ShotFeatures:
-    """Features of a healthy shot: each key has its own, the same in every run."""
+    """Return features of a healthy shot: each key has its own, the same in every run."""
     noise = np.random.default_rng([ord(key.position[0]), key.set_index, key.shot_index]).standard_normal(5)
     tof_pp, tof_ac, ratio, coefficient, area = (1.0 + 0.01 * noise + shift).tolist()
     return ShotFeatures(
@@ -99,7 +99,7 @@ def healthy(key: ShotKey, shift: float = 0.0) -> ShotFeatures:
 
 
 def silent(flag: str = "no_psw") -> ShotFeatures:
-    """Features of a shot that is good for nothing."""
+    """Return features of an invalid shot."""
     return ShotFeatures(flags=(flag,), valid=False, quality="bad")
 
 
@@ -134,13 +134,13 @@ class ScriptedInstruments:
         self.calls.append(("make_safe", None))
 
     def _record(self, key: ShotKey) -> Waveform:
-        told = self.script(key)
-        if isinstance(told, InstrumentError):
-            raise told
-        if told is None:
+        scripted = self.script(key)
+        if isinstance(scripted, InstrumentError):
+            raise scripted
+        if scripted is None:
             raise AcquisitionTimeoutError(f"no trigger at {key.position}")
-        if isinstance(told, Waveform):
-            return told
+        if isinstance(scripted, Waveform):
+            return scripted
         counts = [ord(key.position[0]), *in_order(key.set_index), key.shot_index, key.attempt]
         return Waveform(
             counts=np.array(counts, dtype=np.int16),
@@ -151,27 +151,27 @@ class ScriptedInstruments:
 
     @property
     def struck(self) -> list[tuple[str, int, int, int]]:
-        """Every strike: position, set, shot, attempt."""
+        """Return every strike: position, set, shot, attempt."""
         keys = [key for call, key in self.calls if call == "strike" and key is not None]
         return [(key.position, key.set_index, key.shot_index, key.attempt) for key in keys]
 
 
 class QuietHeartbeat:
-    """Keeps what it is told."""
+    """Heartbeat that keeps its activities."""
 
     def __init__(self) -> None:
-        self.told: list[str] = []
+        self.activities: list[str] = []
         self.stage: Stage = ""
         self.at_the_first: Callable[[], None] = lambda: None
 
     def beat(self, doing: str, *, at_once: bool = False) -> None:
-        self.told.append(doing)
+        self.activities.append(doing)
         act, self.at_the_first = self.at_the_first, lambda: None
         act()
 
 
 class NoPicture:
-    """Nobody watches."""
+    """Live figure without a viewer."""
 
     def due(self, position: str) -> bool:
         return False
@@ -208,7 +208,7 @@ class Line:
         compaction: SetFinalizer | None = None,
         machine: ComputerLoadWatch | None = None,
         web: WebWatch | None = None,
-        tell: Callable[..., None] = lambda event, **values: None,
+        notify: Callable[..., None] = lambda event, **values: None,
         **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
@@ -246,8 +246,8 @@ class Line:
                 live=NoPicture(),
                 heartbeat=self.heartbeat,
                 stop=stop or threading.Event(),
-                report=tell,
-                unsupervised=left_alone,
+                tell=notify,
+                left_alone=left_alone,
                 mono_s=mono_s,
                 helpers=Helpers(
                     compaction=compaction,
@@ -269,15 +269,15 @@ class Line:
                 self.runs = False
 
     def features_of(self, shot: Shot) -> ShotFeatures:
-        """Features by the shot's key, as the script told them; of its record, where it told that."""
-        told = self.script(shot.key)
-        if isinstance(told, Waveform):
+        """Return the scripted features of a shot, or extract them from a scripted record."""
+        scripted = self.script(shot.key)
+        if isinstance(scripted, Waveform):
             return extract_features(shot.waveform)
-        assert isinstance(told, ShotFeatures), "only what was recorded is analysed"
-        return told
+        assert isinstance(scripted, ShotFeatures), "only what was recorded is analysed"
+        return scripted
 
     def epoch_ns(self, catalogue: RecorderCatalogue) -> int:
-        """Hour 0; the first call gives the folder to these settings."""
+        """Return hour 0; the first call creates the experiment with these settings."""
         row = catalogue.create_experiment(
             name=self.settings.name,
             configuration_hash=self.settings.configuration_hash(),
@@ -298,7 +298,7 @@ class Line:
             yield catalogue
 
     def order(self, kind: str, author: str = "Ada", **arguments: Any) -> None:
-        """Give an order to the recorder that runs, or to the next one as soon as it does."""
+        """Send a command to the running recorder, or to the next one when it starts."""
         self.given.append((author, kind, arguments))
         if self.runs:
             self._give_orders()
@@ -310,11 +310,11 @@ class Line:
         self.given.clear()
 
     def alarms(self) -> list[Any]:
-        """Rows of alarms, but of those that baselines of so few sets raise: they judge nothing."""
+        """Return rows of alarms, except those about baselines too short for limits."""
         return [row for row in self.rows("alarms") if row.kind != NOT_ASSESSED]
 
     def rows(self, table: str, position: str | None = None) -> Sequence[Any]:
-        """Rows of a table, of one position where it has one; of a baseline without when it was written."""
+        """Return rows of a table, of one position where it has one; baselines without their time."""
         with self.catalogue() as catalogue:
             rows = catalogue.rows(TABLES[table], position=position)
         return [replace(row, created_utc_ns=0) for row in rows] if table == "baselines" else rows

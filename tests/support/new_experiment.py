@@ -1,4 +1,4 @@
-"""A data folder whose experiment has begun: the catalogue as it is before the first set."""
+"""A data folder whose experiment has started: the catalogue as it is before the first set."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from daq_service.catalogue.connection import FILE_NAME
 
 @cache
 def _file() -> bytes:
-    """Its file, made once: migrations take a fifth of a second."""
+    """Return its file, made once: migrations take a fifth of a second."""
     with tempfile.TemporaryDirectory() as folder:
         with open_catalogue(Path(folder), writer=True) as catalogue:
             catalogue.create_experiment(
@@ -27,12 +27,12 @@ def _file() -> bytes:
 
 
 def new_catalogue(folder: Path) -> RecorderCatalogue:
-    """The recorder's catalogue of a new experiment; the caller closes it."""
+    """Open the recorder's catalogue of a new experiment; the caller closes it."""
     (folder / FILE_NAME).write_bytes(_file())
     return open_catalogue(folder, writer=True)
 
 
-def tell(catalogue: RecorderCatalogue, *kinds: str) -> None:
-    """Events of the recorder, one after the other."""
+def add_events(catalogue: RecorderCatalogue, *kinds: str) -> None:
+    """Add consecutive events of the recorder."""
     for kind in kinds:
         catalogue.add_event(utc_ns=0, topic="service", kind=kind, payload={})

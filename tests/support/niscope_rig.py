@@ -1,4 +1,4 @@
-"""A double with one ultrasonic probe, and the NI-SCOPE driver told how it is wired."""
+"""A double with one ultrasonic probe, and the NI-SCOPE driver with its wiring."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ QUIET = TwinParameters(noise=NoiseParameters(enabled=False))
 
 
 def why_no_niscope() -> str:
-    """Say why the NI-SCOPE library cannot be doubled here, empty if it can."""
+    """Return why the NI-SCOPE library cannot be doubled here, empty if it can."""
     if find_spec("niscope") is None:
         return 'the package niscope is not installed (extra "solimon[niscope]")'
     return why_unavailable()
@@ -62,7 +62,7 @@ def parameters(*, averages: int = 16, **wiring: Any) -> NiscopeParameters:
 
 
 def preload(library: str = "niScope") -> list[Any]:
-    """Load the double of one of NI's libraries into this very process; return its folder.
+    """Load the double of one of NI's libraries into this process; return its folder.
 
     The loader read LD_LIBRARY_PATH when this process started. A library that is loaded already is found by
     its soname whatever the path says, so they are loaded by their files first.
@@ -115,7 +115,7 @@ def key(set_index: int = 7) -> ShotKey:
 
 
 def codes_of_the_twin(described: Description, shot: ShotKey) -> Counts:
-    """Unpadded codes of one noise-free record: the twin's echo through the board's own scaling."""
+    """Return unpadded codes of one noise-free record: the twin's echo through the board's scaling."""
     specimen = build_specimen(
         described.twin, transducers={}, probed_thickness_m={"A": described.probes["A"].thickness_m}
     )
@@ -125,5 +125,5 @@ def codes_of_the_twin(described: Description, shot: ShotKey) -> Counts:
 
 
 def functions_of(record: dict[str, Any]) -> list[str]:
-    """Names of the calls in a double's record, in order."""
+    """Return names of the calls in a double's record, in order."""
     return [call["function"] for call in record["calls"]]

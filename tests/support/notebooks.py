@@ -28,13 +28,13 @@ DPI = 50
 
 
 def example_settings() -> Any:
-    """Settings of the test that the example shows."""
+    """Return settings of the test that the example shows."""
     # The smallest baseline that gives a limit, and two sets behind it.
     return small_settings(schedule={"end_h": 8.5}, baseline={"hours": 7.5})
 
 
 def executed(notebook: Mapping[str, Any], names: dict[str, Any]) -> dict[str, Any]:
-    """Carry out every cell in ``names`` and return the notebook with its outputs."""
+    """Execute every cell in ``names`` and return the notebook with its outputs."""
     import matplotlib as mpl
 
     mpl.use("agg")
@@ -53,13 +53,13 @@ def _outputs(source: str, names: dict[str, Any], number: int) -> list[dict[str, 
 
     tree = ast.parse(source)
     last = tree.body.pop() if tree.body and isinstance(tree.body[-1], ast.Expr) else None
-    said = io.StringIO()
-    with contextlib.redirect_stdout(said):
+    output = io.StringIO()
+    with contextlib.redirect_stdout(output):
         exec(compile(tree, "cell", "exec"), names)
         value = None if last is None else eval(compile(ast.Expression(last.value), "cell", "eval"), names)
     outputs: list[dict[str, Any]] = []
-    if said.getvalue():
-        lines = said.getvalue().splitlines(keepends=True)
+    if output.getvalue():
+        lines = output.getvalue().splitlines(keepends=True)
         outputs.append({"output_type": "stream", "name": "stdout", "text": lines})
     if value is not None and not source.rstrip().endswith(";"):
         data = {"text/plain": repr(value).splitlines(keepends=True)}
@@ -83,7 +83,7 @@ def read(path: Path = EXAMPLE) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Write the example's outputs anew."""
+    """Write the outputs of the example again."""
     with tempfile.TemporaryDirectory() as place:
         assert run(example_settings(), Path(place) / FOLDER)
         os.chdir(place)

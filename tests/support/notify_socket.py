@@ -1,4 +1,4 @@
-"""A service manager that notes what the services it started tell it."""
+"""A service manager that records the notifications of its services."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ END = b"end of the test"
 
 @contextmanager
 def notify_socket(folder: Path) -> Iterator[tuple[dict[str, str], list[list[str]]]]:
-    """Give what a service finds in its environment, and the lines of each datagram, complete at the end."""
+    """Yield the environment of a service, and the lines of each datagram, complete at the end."""
     address, heard = str(folder / "notify"), list[list[str]]()
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
         channel.bind(address)

@@ -1,4 +1,4 @@
-"""Distributions that nobody installed: a folder on the path whose metadata offers kinds of instruments."""
+"""Distributions that are not installed: a folder on the path whose metadata offers kinds of instruments."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Every picture of the docs, made from a test on the twin: real commands, the real page, headless Chromium.
 
-``python -m support.pictures [FOLDER]`` in ``tests/`` makes them anew where the docs show them, or elsewhere.
+``python -m support.pictures [FOLDER]`` in ``tests/`` writes them where the docs show them, or elsewhere.
 The twin's test is seeded and goes on in one folder from hour to hour. A picture is taken once it shows what
 it is taken for, and carries that text with it. Which strike the live waveform shows is a matter of time: it
 is shown ten times a second at most, and here hours take seconds.
@@ -116,7 +116,7 @@ PICTURES = (
 
 
 def parsed_line(path: Path) -> str:
-    """Return what a picture's file says that it shows."""
+    """Return the source line in the file of a figure."""
     if path.suffix == ".svg":
         return ElementTree.parse(path).findtext("{http://www.w3.org/2000/svg}desc", default="")
     from PIL import Image
@@ -125,13 +125,13 @@ def parsed_line(path: Path) -> str:
         return str(image.info.get("Description", ""))
 
 
-def told(picture: Picture) -> str:
-    """Return what stands in the file of a picture."""
+def source_of(picture: Picture) -> str:
+    """Return the source line for the file of a figure."""
     return f"hour {picture.hour}, {picture.of}: {'; '.join(picture.shows)}"
 
 
 def make(folder: Path) -> None:
-    """Record the test and make each picture below ``folder``."""
+    """Record the test and write each figure below ``folder``."""
     with tempfile.TemporaryDirectory() as place, chromium() as browser:
         *demo, name = DEMO.split()
         data = Path(place) / name
@@ -144,7 +144,7 @@ def make(folder: Path) -> None:
             path.parent.mkdir(parents=True, exist_ok=True)
             if path.suffix == ".png":
                 with _page(browser, data, picture.hour) as (page, api):
-                    path.write_bytes(_small(_taken(page, api, picture), told(picture)))
+                    path.write_bytes(_small(_taken(page, api, picture), source_of(picture)))
             else:
                 screen = began if picture.of == "demo" else _on_terminal(picture.of, "--data-dir", str(data))
                 path.write_text(_drawn(screen.replace(place, "~"), picture), encoding="utf-8", newline="\n")
@@ -152,7 +152,7 @@ def make(folder: Path) -> None:
 
 
 def _on_terminal(*words: str, **environment: str) -> str:
-    """Run a command to its end; its screen, with colours where nothing on it was written over."""
+    """Run a command to its end; return its screen, with colors where nothing was overwritten."""
     with on_terminal([*SOLIMON, *words], environment) as terminal:
         assert terminal.end() == 0, terminal.written
         plain = "\n".join(terminal.shown())
@@ -161,7 +161,7 @@ def _on_terminal(*words: str, **environment: str) -> str:
 
 @contextmanager
 def _page(browser: Any, data: Path, hour: int) -> Iterator[tuple[Any, httpx.Client]]:
-    """Open the page of the test as far as it is."""
+    """Open the page of the test in its present state."""
     settings = load_settings(data / CONFIGURATION_FILE, overrides={"schedule": {"end_h": hour}})
     with served(settings, data) as service:
         context = browser.new_context(viewport=DESK, color_scheme="light")
@@ -203,7 +203,7 @@ def _small(png: bytes, description: str) -> bytes:
 
 
 def _drawn(screen: str, picture: Picture) -> str:
-    """Draw a terminal's screen; the page that shows it loads no font from elsewhere."""
+    """Draw the screen of a terminal; the page that shows it loads no remote font."""
     from rich.console import Console
     from rich.text import Text
 
@@ -214,7 +214,7 @@ def _drawn(screen: str, picture: Picture) -> str:
     console = Console(record=True, width=width, file=io.StringIO(), force_terminal=True)
     console.print(text)
     svg = re.sub(r"@font-face \{[^}]*\}", "", console.export_svg(title=f"solimon {picture.of}"))
-    description = f"<desc>{escape(told(picture))}</desc>"
+    description = f"<desc>{escape(source_of(picture))}</desc>"
     return re.sub(r"(<svg [^>]*>)", lambda found: found[1] + description, svg, count=1)
 
 

@@ -31,7 +31,7 @@ class PseudoTerminal:
         self._decoded = codecs.getincrementaldecoder("utf-8")().decode
 
     def until(self, pattern: str, *, times: int = 1) -> None:
-        """Read on until the pattern was written so often; fails if the command ends before."""
+        """Read until the pattern was written this often; fail if the command ends before."""
         while len(re.findall(pattern, self.written)) < times:
             assert self._read(), f"ended without {pattern!r}: {self.written!r}"
 
@@ -40,12 +40,12 @@ class PseudoTerminal:
         os.write(self._screen, f"{text}\n".encode())
 
     def interrupt(self) -> int:
-        """Press Ctrl-C, which reaches every process of the terminal; the exit code."""
+        """Press Ctrl-C, which reaches every process of the terminal; return the exit code."""
         os.killpg(self.process.pid, signal.SIGINT)
         return self.end()
 
     def end(self) -> int:
-        """Read to the end; the exit code."""
+        """Read to the end; return the exit code."""
         while self._read():
             pass
         ended(self.process, "the command's end")
@@ -56,19 +56,19 @@ class PseudoTerminal:
             raise MachineTooSlowError("another word of the command")
         try:
             new = os.read(self._screen, 65536)
-        except OSError:  # Linux: nobody has the other side open any more
+        except OSError:  # Linux: the other side is closed
             new = b""
         self.written += self._decoded(new)  # a read may end within a character
         return bool(new)
 
     def shown(self) -> list[str]:
-        """Lines that stand on the screen, and those that have left it at its top."""
+        """Return the lines on the screen and those that scrolled off its top."""
         return shown(self.written)
 
 
 @contextmanager
 def on_terminal(command: Sequence[str], environment: Mapping[str, str]) -> Iterator[PseudoTerminal]:
-    """Start a command on a terminal of its own, without a desktop; nothing of it outlives the block."""
+    """Start a command on its own terminal, without a desktop; it ends with the block."""
     screen, side = pty.openpty()
     termios.tcsetwinsize(side, (ROWS, COLUMNS))
     desktop = ("DISPLAY", "WAYLAND_DISPLAY", "CI", "NO_COLOR", "FORCE_COLOR", "COLUMNS", "LINES")
@@ -94,7 +94,7 @@ def on_terminal(command: Sequence[str], environment: Mapping[str, str]) -> Itera
 
 
 def shown(written: str) -> list[str]:
-    """Carry out what moves the cursor and what erases, as far as rich uses it."""
+    """Interpret cursor movements and erasures, as far as rich uses them; return the lines."""
     lines, row, column = [""], 0, 0
     aside: list[str] = []
     for private, numbers, letter, control, text in CONTROL.findall(written):

@@ -56,7 +56,7 @@ class _Server(ThreadingHTTPServer):
 
 @contextmanager
 def http_receiver(*, tls: Path | None = None) -> Iterator[HttpReceiver]:
-    """Run one until the block ends; `tls`: folder of `certificate.pem` and `key.pem`."""
+    """Run a receiver until the block ends; `tls`: folder of `certificate.pem` and `key.pem`."""
 
     class Handler(BaseHTTPRequestHandler):
         def do_POST(self) -> None:

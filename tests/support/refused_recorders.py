@@ -1,6 +1,6 @@
-"""A recorder on a clock that nobody waits for, under a disk that refuses single calls; each case in a fork.
+"""A recorder on a simulated clock, under a disk that refuses single calls; each case in a fork.
 
-Run as a program under `refusing_files`: ``FOLDER`` holds a test that has begun; cases come as JSON lines on
+Run as a program under `refusing_files`: ``FOLDER`` holds a started test; cases come as JSON lines on
 standard input, and what became of each goes to standard output. The real line runs, with catalogue, journal,
 compaction and log; rig and features are in memory, and a sleep of anybody's only moves the clock on.
 """
@@ -56,7 +56,7 @@ CALLS = "open,write,fsync,rename,unlink,truncate,allocate,mkdir"
 
 
 def refusal_settings() -> Settings:
-    """Six sets of ten records, a set every 18 s."""
+    """Return settings of six sets of ten records, a set every 18 s."""
     interval_h = INTERVAL_S / 3600.0
     return memory_settings(
         schedule={
@@ -69,7 +69,7 @@ def refusal_settings() -> Settings:
 
 
 class Time:
-    """The machine's clocks, moved by whoever sleeps; ``look`` is called at each step."""
+    """The machine's clocks, advanced by each sleep; ``look`` is called at each step."""
 
     def __init__(self) -> None:
         self.now_ns = parse_utc("2026-01-01T00:00:00Z")
@@ -87,7 +87,7 @@ class Time:
 
 
 class Stop(threading.Event):
-    """Nobody stops; waiting for it moves the clock on."""
+    """Event that is never set; waiting for it advances the clock."""
 
     def __init__(self, clock: Time) -> None:
         super().__init__()
@@ -100,7 +100,7 @@ class Stop(threading.Event):
 
 @contextmanager
 def injected(clock: Time) -> Iterator[None]:
-    """Let everything in this process go by a clock that nobody waits for."""
+    """Let everything in this process use a simulated clock."""
     named: dict[Callable[..., Any], dict[str, Any]] = {
         SetFinalizer.__init__: {"mono_s": clock.s},
         Heartbeat.__init__: {"mono_ns": clock.ns},
@@ -122,7 +122,7 @@ def record(
     folder: Path,
     clock: Time,
     instruments: LongerRecords,
-    told_ids: list[int],
+    acknowledged_ids: list[int],
     stop: Stop,
     opened_by: Callable[[RigOpener], RigOpener] = lambda opener: opener,
 ) -> bool:
@@ -138,8 +138,8 @@ def record(
                     folder,
                     opened_by(opener),
                     stop=stop,
-                    report=lambda event, **values: None,
-                    acknowledged=told_ids.append,
+                    tell=lambda event, **values: None,
+                    acknowledged=acknowledged_ids.append,
                     compaction_worker=AtOnce,
                     wall_clock=partial(WallClock, system_ns=clock.ns, elapsed_ns=clock.ns, sleep=clock.sleep),
                     listen_every_s=1.0,
@@ -147,38 +147,38 @@ def record(
 
 
 def begin(folder: Path) -> None:
-    """Make a test that has begun: stopped after its second set."""
-    clock, told = Time(), list[int]()
+    """Create a started test: stopped after its second set."""
+    clock, acknowledged_ids = Time(), list[int]()
     stop = Stop(clock)
     clock.look = lambda: (
         stop.set() if clock.now_ns > first_ns + (SETS_BEFORE + 0.7) * INTERVAL_S * 1e9 else None
     )
     first_ns = clock.now_ns
-    record(folder, clock, LongerRecords(healthy), told, stop)
-    (folder.parent / "begun.json").write_text(json.dumps({"now_ns": clock.now_ns, "told": told}))
+    record(folder, clock, LongerRecords(healthy), acknowledged_ids, stop)
+    (folder.parent / "begun.json").write_text(json.dumps({"now_ns": clock.now_ns, "told": acknowledged_ids}))
 
 
-class Told(logging.Handler):
+class FirstReport(logging.Handler):
     """When something was said for the first time after the first refusal, on the injected clock."""
 
     def __init__(self, clock: Time, refusals: Callable[[], int]) -> None:
         super().__init__(logging.WARNING)
         self._clock, self._refusals = clock, refusals
         self.first_s: float | None = None
-        self.said: list[str] = []
+        self.messages: list[str] = []
 
     def emit(self, record: logging.LogRecord) -> None:
         if self._refusals():
             self.first_s = self._clock.s() if self.first_s is None else self.first_s
-            self.said.append(record.getMessage())
+            self.messages.append(record.getMessage())
 
 
 def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
-    """Go on with the test under one refusal; return what became of it."""
-    begun = json.loads((folder.parent / "begun.json").read_text())
+    """Continue the test under one refusal; return the outcome."""
+    start = json.loads((folder.parent / "begun.json").read_text())
     clock = Time()
-    clock.now_ns = begun["now_ns"]
-    told_ids: list[int] = begun["told"]
+    clock.now_ns = start["now_ns"]
+    acknowledged_ids: list[int] = start["told"]
     refusals: Callable[[], int] = ctypes.CDLL(os.environ["LD_PRELOAD"]).refusals
     trouble = trouble_of(case, folder, clock)
     if trouble is not None:
@@ -187,7 +187,7 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     seen_s: list[tuple[int, float]] = []
 
     def look() -> None:
-        assert clock.s() < begun["now_ns"] / NS_PER_S + 600.0, f"it waits for ever: {told.said[-3:]}"
+        assert clock.s() < start["now_ns"] / NS_PER_S + 600.0, f"it waits for ever: {reports.messages[-3:]}"
         if trouble is not None:
             trouble.look()
         if refusals() > (seen_s[-1][0] if seen_s else 0):
@@ -197,8 +197,8 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
             os.environ.pop("REFUSE_CALLS", None)
 
     clock.look = look
-    told = Told(clock, refusals)
-    logging.getLogger().addHandler(told)
+    reports = FirstReport(clock, refusals)
+    logging.getLogger().addHandler(reports)
     log_to(folder / "logs" / "recorder.log")
     if case.get("damaged"):
         (folder / DAMAGED).write_bytes(b"torn")
@@ -207,14 +207,14 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
     finished = False
     while not finished and len(ends) < 50:
         try:
-            finished = record(folder, clock, instruments, told_ids, Stop(clock))
+            finished = record(folder, clock, instruments, acknowledged_ids, Stop(clock))
         except StorageError as error:
             logging.getLogger(__name__).warning("%s", error)
             ends.append(f"{'in' if instruments.calls else 'before'} the test: {error}")
             clock.sleep(1.0)  # as the supervisor, who starts it again
     os.environ.pop("REFUSE_CALLS", None)
     if left(folder):  # what could not be removed at the end is left to the next start
-        record(folder, clock, instruments, told_ids, Stop(clock))
+        record(folder, clock, instruments, acknowledged_ids, Stop(clock))
     found = outcome(folder, "wall")
     with open_catalogue(folder) as catalogue:
         alarms = [(row.kind, row.state) for row in catalogue.rows(AlarmRow)]
@@ -224,21 +224,21 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
         "ends": ends,
         "refusals": refusals(),
         "lasted_s": last_s - first_s,
-        "told_after_s": None if told.first_s is None else max(told.first_s - first_s, 0.0),
-        "said": told.said,
+        "told_after_s": None if reports.first_s is None else max(reports.first_s - first_s, 0.0),
+        "said": reports.messages,
         "alarms": alarms,
-        "lost": sorted(set(told_ids) - found.counts.keys()),
+        "lost": sorted(set(acknowledged_ids) - found.counts.keys()),
         "sets": sorted({(row.set_index, row.state, row.cause) for row in found.rows["sets"]}),
         "shots": len(found.counts),
         "keys": len(set(found.keys.values())),
-        "acknowledged": len(set(told_ids)),
+        "acknowledged": len(set(acknowledged_ids)),
         "left": left(folder),
         "set_aside": sorted(path.name for path in folder.glob("quarantine/*")),
     }
 
 
 def refuse(case: dict[str, Any], folder: Path) -> None:
-    """Tell the library; a case without a call refuses nothing, one without a count only notes."""
+    """Configure the library; without a call it refuses nothing, without a count it only logs."""
     os.environ.update(
         REFUSE_UNDER=str(folder),
         REFUSE_FILES=case.get("files", "*"),
@@ -251,12 +251,12 @@ def refuse(case: dict[str, Any], folder: Path) -> None:
 
 
 def left(folder: Path) -> list[str]:
-    """What a finished test has no use for."""
+    """Return files that a finished test must not leave."""
     return sorted(path.name for path in (*folder.glob("journal/*"), *folder.glob("**/*.tmp")))
 
 
 class Trouble:
-    """Something that somebody does to the folder, and undoes after a while."""
+    """Disturbance of the folder that is undone after a while."""
 
     def __init__(self, clock: Time, for_s: float, do: Callable[[], Callable[[], Any]]) -> None:
         self._clock, self._for_s, self._do = clock, for_s, do
@@ -274,7 +274,7 @@ class Trouble:
 
 
 def trouble_of(case: dict[str, Any], folder: Path, clock: Time) -> Trouble | None:
-    """An exclusive transaction on the catalogue, or the folder moved away."""
+    """Return an exclusive transaction on the catalogue, or a move of the folder."""
 
     def lock() -> Callable[[], Any]:
         held = sqlite3.connect(folder / "catalogue.sqlite", isolation_level=None)
@@ -289,26 +289,26 @@ def trouble_of(case: dict[str, Any], folder: Path, clock: Time) -> Trouble | Non
     return next((Trouble(clock, case[name], do) for name, do in doings.items() if name in case), None)
 
 
-def in_a_fork(case: dict[str, Any], begun: Path) -> dict[str, Any]:
+def in_a_fork(case: dict[str, Any], started_folder: Path) -> dict[str, Any]:
     """Run one case in a child of this process."""
     reading, writing = os.pipe()
     child = os.fork()
     if not child:
         try:
-            folder = begun.parent / f"case {os.getpid()}" / "data"
+            folder = started_folder.parent / f"case {os.getpid()}" / "data"
             folder.parent.mkdir()
-            shutil.copytree(begun, folder)
-            shutil.copy(begun.parent / "begun.json", folder.parent)
-            told = follow(case, folder)
+            shutil.copytree(started_folder, folder)
+            shutil.copy(started_folder.parent / "begun.json", folder.parent)
+            result = follow(case, folder)
             noted = folder.parent / "refused.log"
             only_noted = not case.get("count") and noted.exists()
-            told["noted"] = noted.read_text().splitlines() if only_noted else []
-            told["folder"] = str(folder)
+            result["noted"] = noted.read_text().splitlines() if only_noted else []
+            result["folder"] = str(folder)
             shutil.rmtree(folder.parent)
         except BaseException:  # noqa: BLE001 - whatever ends a recorder is the answer
-            told = {"fault": traceback.format_exc()}
+            result = {"fault": traceback.format_exc()}
         with os.fdopen(writing, "w") as answer:
-            json.dump(told, answer)
+            json.dump(result, answer)
         os._exit(0)
     os.close(writing)
     with os.fdopen(reading) as answer:
@@ -318,14 +318,14 @@ def in_a_fork(case: dict[str, Any], begun: Path) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Make a test that has begun, then follow each case."""
-    begun = Path(sys.argv[1]) / "begun" / "data"
-    begun.parent.mkdir(parents=True)
-    begin(begun)
+    """Create a started test, then follow each case."""
+    started_folder = Path(sys.argv[1]) / "begun" / "data"
+    started_folder.parent.mkdir(parents=True)
+    begin(started_folder)
     logging.getLogger().addHandler(logging.NullHandler())  # no log on standard error
     for line in sys.stdin:
         case = json.loads(line)
-        print(json.dumps({**case, **in_a_fork(case, begun)}), flush=True)
+        print(json.dumps({**case, **in_a_fork(case, started_folder)}), flush=True)
 
 
 if __name__ == "__main__":

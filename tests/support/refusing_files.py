@@ -39,7 +39,7 @@ def refusing(
     log: Path,
     while_there: Path | None = None,
 ) -> dict[str, str]:
-    """Environment of a program whose calls on files under a folder are refused, as the source tells."""
+    """Return the environment of a program whose calls on files under a folder are refused."""
     return {
         **os.environ,
         "LD_PRELOAD": str(library),

@@ -24,9 +24,9 @@ BEGAN_NS = 1_700_000_000 * NS_PER_S
 DUTY = {"url": "http://127.0.0.1:1/hook", "secret_env": "DUTY_SECRET"}
 
 
-def notifying(receivers: dict[str, Any] | None = None, **beside: Any) -> Settings:
-    """Return settings with receivers; by default one that is told at once."""
-    return Settings(notifications={"receivers": receivers or {"duty": DUTY}, **beside})
+def notifying(receivers: dict[str, Any] | None = None, **further: Any) -> Settings:
+    """Return settings with receivers; by default one that is notified at once."""
+    return Settings(notifications={"receivers": receivers or {"duty": DUTY}, **further})
 
 
 class Alarms:
@@ -36,15 +36,15 @@ class Alarms:
         self.catalogue = new_catalogue(folder)
         self._now_ns = now_ns
 
-    def change(self, kind: str = "wall_change", *, present: bool = True, **beside: Any) -> int:
-        """Carry an alarm over an assessment; return the id of its event."""
+    def change(self, kind: str = "wall_change", *, present: bool = True, **further: Any) -> int:
+        """Update an alarm by an assessment; return the id of its event."""
         condition = Condition(
             **{
                 "position": "B",
                 "family": "damage",
                 "severity": "high",
                 "message": f"{kind} is there",
-                **beside,
+                **further,
             },
             kind=kind,
             present=present,
@@ -56,7 +56,7 @@ class Alarms:
         return self._commit(change.row, change.event_kind)
 
     def reset(self, kind: str) -> int:
-        """End a latched alarm by a person's word."""
+        """Reset a latched alarm as an operator does."""
         (row,) = self.catalogue.rows(AlarmRow, kind=kind, active=True)
         change = reset(row, "ann", "put right", Moment(utc_ns=0, due_h=0.0, set_index=None))
         return self._commit(change.row, change.event_kind)
@@ -89,7 +89,7 @@ class Bench:
         return BEGAN_NS + round(self.mono_s * NS_PER_S)
 
     def restarted(self, *, name: str = "duty") -> ReceiverQueue:
-        """Begin as a new process does: only what is on the disk is known."""
+        """Restart as a new process that knows only the data on disk."""
         self.line = ReceiverQueue(
             name,
             self.settings.notifications,
@@ -108,7 +108,7 @@ class Bench:
         return self.outcomes.pop(0) if self.outcomes else TAKEN
 
     def run(self, seconds: float = 0.0, *, at_least_s: float = 0.0) -> list[Message]:
-        """Let time pass, at least so much between two steps; return what went out meanwhile."""
+        """Let time pass with a minimum step; return the notifications sent meanwhile."""
         before, end_s = len(self.sent), self.mono_s + seconds
         while True:
             pause_s = max(at_least_s, self.line.step())
@@ -119,7 +119,7 @@ class Bench:
         self.line.step()
         return self.sent[before:]
 
-    def told(self, what: str) -> list[Any]:
-        """Lines of the log of one kind, the oldest first."""
+    def log_lines(self, what: str) -> list[Any]:
+        """Return lines of the log of one kind, the oldest first."""
         found, _ = self.log.read(limit=1000)
         return [line for _, line in reversed(found) if line.what == what]

@@ -56,7 +56,7 @@ SCRIPT = Script()
 
 
 def begin_script() -> Script:
-    """Forget what the last test did."""
+    """Reset the script of the previous test."""
     fresh = Script()
     SCRIPT.events, SCRIPT.openings, SCRIPT.fails, SCRIPT.comes = (
         fresh.events,
@@ -108,7 +108,7 @@ class Hammer:
 
 
 class Relay:
-    """A relay at a counter that somebody else's program pulses: here by NI's package itself."""
+    """A relay at a counter that another program pulses: here by NI's package itself."""
 
     def strike(self, key: ShotKey) -> None:
         import nidaqmx

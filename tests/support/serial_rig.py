@@ -21,7 +21,7 @@ from simulator.doubles.serial.link import SerialLink, SocketLink, pseudo_termina
 NO_TERMINALS = pseudo_terminals_missing()
 """Why there is nothing to test here; empty where there is."""
 REPLY_TIMEOUT_S = READ_TIMEOUT_S = 60.0
-"""The doubles answer within a millisecond, on a busy machine later; nobody waits for what never comes, see
+"""The doubles answer within a millisecond, on a busy machine later; no test waits for a missing reply, see
 `DeadlineClock`."""
 
 
@@ -115,7 +115,7 @@ class SerialRig:
         )
 
     def new_supply(self) -> ScpiPowerSupply:
-        """A second driver on the same port."""
+        """Open a second driver on the same port."""
         return ScpiPowerSupply(self.supply_parameters, stamp=self.clock.stamp, monotonic_s=self.deadlines)
 
     def __enter__(self) -> SerialRig:
@@ -127,7 +127,7 @@ class SerialRig:
         self.instruments.close()
 
     def supply_is_read(self) -> bool:
-        """Read the supply once its next attempt is due; a reading that comes must be that of the order."""
+        """Read the supply once its next attempt is due; check that a reading matches the command."""
         self.clock.advance(60.0)
         try:
             reading = self.supply.read(READ_TIMEOUT_S)
@@ -137,9 +137,9 @@ class SerialRig:
         return True
 
     def switched(self) -> list[tuple[bool, str]]:
-        """What happened to the supply's output: on or off, and who did it."""
+        """Return the changes of the supply's output with their causes."""
         return [(change.on, change.cause) for change in self.instruments.output_changes()]
 
     def heard(self) -> list[str]:
-        """Commands the supply heard."""
+        """Return the commands that the supply received."""
         return [command for _, command in self.instruments.supply_link.heard()]

@@ -40,9 +40,9 @@ class Served:
 
 
 def brought(page: str) -> dict[str, Any]:
-    """Answers that a page of the dashboard brings along, by path."""
-    _, begun, rest = page.partition('<script type="application/json" id="answers">')
-    assert begun
+    """Return answers embedded in a page of the dashboard, by path."""
+    _, script_tag, rest = page.partition('<script type="application/json" id="answers">')
+    assert script_tag
     answers: dict[str, Any] = json.loads(rest.partition("</script>")[0])
     return answers
 
@@ -56,18 +56,18 @@ def served(settings: Settings, folder: Path, *, port: int = 0) -> Iterator[Serve
 @contextmanager
 def served_app(app: FastAPI, *, port: int = 0, locks: WebSettings | None = None) -> Iterator[Served]:
     stop = threading.Event()
-    said: queue.Queue[str | BaseException] = queue.Queue()
+    results: queue.Queue[str | BaseException] = queue.Queue()
 
     def run() -> None:
         try:
-            serve(app, "127.0.0.1", port, on_bound=said.put, stop=stop, locks=locks)
+            serve(app, "127.0.0.1", port, on_bound=results.put, stop=stop, locks=locks)
         except BaseException as error:
-            said.put(error)
+            results.put(error)
             raise
 
     thread = threading.Thread(target=run, name="served-web")
     thread.start()
-    url = said.get(timeout=DEADLINE_S)
+    url = results.get(timeout=DEADLINE_S)
     if isinstance(url, BaseException):
         thread.join()
         raise url
@@ -87,7 +87,7 @@ class StreamEvent:
 
 
 def stream_events(response: httpx.Response) -> Iterator[StreamEvent]:
-    """Parse server-sent events as a browser does; comments and heartbeats are left out."""
+    """Parse server-sent events as a browser does, without comments and heartbeats."""
     fields: dict[str, str] = {}
     for line in response.iter_lines():
         if line == "":

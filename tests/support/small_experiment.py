@@ -48,7 +48,7 @@ RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
 
 
 def small_settings(**tables: Mapping[str, Any]) -> Settings:
-    """Settings of the short experiment; ``tables`` lie over them."""
+    """Return settings of the short experiment; ``tables`` override them."""
     overrides = {name: {**SMALL.get(name, {}), **table} for name, table in tables.items()}
     return load_settings(None, overrides={**SMALL, **overrides})
 
@@ -92,7 +92,7 @@ def run(
 
 @cache
 def _empty_catalogue() -> bytes:
-    """A catalogue before anything is recorded, made once: migrations take a fifth of a second."""
+    """Return an empty catalogue, made once: migrations take a fifth of a second."""
     with tempfile.TemporaryDirectory() as folder:
         with open_catalogue(Path(folder), writer=True):
             pass
@@ -100,10 +100,10 @@ def _empty_catalogue() -> bytes:
 
 
 def rows_of(folder: Path) -> dict[str, Sequence[Any]]:
-    """Every row of the catalogue that a repeated experiment must repeat, without when it was written."""
+    """Return every row that a repeated experiment must repeat, without the time of writing."""
     with open_catalogue(folder) as catalogue:
         return {
-            # A file tells by which end of the schedule its recorder went.
+            # A file shows by which end of the schedule its recorder went.
             "sets": [replace(row, file_sha256=None) for row in catalogue.rows(SetRow, purpose="any")],
             "set_features": catalogue.rows(FeatureRow, scope="set", purpose="any"),
             "shot_features": catalogue.rows(FeatureRow, scope="shot", purpose="any"),
@@ -137,7 +137,7 @@ class DisturbedDigitizer:
 
 
 def disturbed_rig(disturb: Callable[[ShotKey, Acquired], Acquired]) -> RigOpener:
-    """The twin, with each record passed through ``disturb``, which may raise."""
+    """Open the twin with each record passed through ``disturb``, which may raise."""
 
     @contextmanager
     def opener(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:

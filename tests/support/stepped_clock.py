@@ -1,4 +1,4 @@
-"""The clock of a test in real time that nobody waits for."""
+"""A simulated clock for a test in real time."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ class SteppedClock:
         self._now_ns = 0
 
     def start(self, before: object = None) -> Clock:
-        """Begin a run, after another one a while later."""
+        """Start a run, later than the run before it."""
         self._now_ns = max(time.time_ns(), self._now_ns + PAUSE_NS)
         return self
 

@@ -16,13 +16,13 @@ CALIBRATION = Calibration(coefficients_v=np.array([0.0, 10.0 / 32768]), resoluti
 
 
 def cos4(time_s, centre_s, width_s=PULSE_WIDTH_S):
-    """cos^4 pulse of unit height, zero beyond half its width."""
+    """Return a cos^4 pulse of unit height, zero beyond half its width."""
     phase = np.clip((time_s - centre_s) / width_s, -0.5, 0.5)
     return np.cos(np.pi * phase) ** 4
 
 
 def band_limited(n, rate_hz, ends_hz, seed):
-    """Noise of rms 1 that ends at a frequency."""
+    """Return noise of rms 1 that ends at a frequency."""
     length = 2 * n
     spectrum = np.fft.rfft(np.random.default_rng(seed).standard_normal(length))
     frequency_hz = np.fft.rfftfreq(length, 1.0 / rate_hz)

@@ -1,4 +1,4 @@
-"""Every row of a catalogue as it stands in its file, checksums included."""
+"""Every row of a catalogue as stored in its file, checksums included."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Rows = dict[str, list[tuple[Any, ...]]]
 
 
 def table_rows(folder: Path, *tables: str) -> Rows:
-    """Rows of these tables, of every one if none is named, in the order of their ids."""
+    """Return rows of these tables, of every one if none is named, in the order of their ids."""
     with closing(sqlite3.connect(folder / FILE_NAME)) as database:
         database.text_factory = lambda text: text.decode(errors="surrogateescape")  # damage may be no text
         return {
@@ -24,6 +24,6 @@ def table_rows(folder: Path, *tables: str) -> Rows:
 
 
 def lose_catalogue(folder: Path, *others: str) -> None:
-    """Remove the catalogue with what SQLite keeps beside it, and other files."""
+    """Remove the catalogue with the files of SQLite, and other files."""
     for path in (*folder.glob("catalogue*.sqlite*"), *(folder / name for name in others)):
         path.unlink(missing_ok=True)

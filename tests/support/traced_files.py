@@ -1,7 +1,7 @@
 """Every call that changed a file, and what a disk may show after a crash behind any of them.
 
 `traced_files.c` writes the calls down below Python, SQLite and HDF5 alike; `Disk` takes them up one by one
-and tells what each model of a crash leaves. The models (`MODELS`):
+and returns what each model of a crash leaves. The models (`MODELS`):
 
 - ``kill``: everything that was written; the process died, not the machine.
 - ``nothing``: of what was not synced nothing, names included.
@@ -48,7 +48,7 @@ class Call:
 
 
 def tracing(library: Path, trace: Path, under: Path) -> dict[str, str]:
-    """Variables of a program whose calls on files under a folder are to be written down."""
+    """Return the environment of a program whose calls on files under a folder are traced."""
     return {"LD_PRELOAD": str(library), "TRACE_TO": str(trace), "TRACE_UNDER": str(under)}
 
 
@@ -65,7 +65,7 @@ def build(folder: Path) -> Path:
 
 
 def mark(trace: Path, number: int) -> None:
-    """Say from within the traced program that something is promised from now on."""
+    """Mark in the traced program that data are acknowledged from now on."""
     with trace.open("ab", buffering=0) as file:
         file.write(_HEAD.pack(MARK.encode(), 0, 0, number))
 
@@ -150,7 +150,7 @@ State = Mapping[str, bytes | None]
 
 
 class Disk:
-    """A folder on a disk that makes durable only what it is told to.
+    """A folder on a disk that makes durable only what is synced.
 
     Attributes
     ----------
@@ -166,7 +166,7 @@ class Disk:
         """Changes of names in their order: path to what it stands for from then on, None where it goes."""
 
     def take(self, call: Call) -> bool:
-        """Take a call up; tell whether another crash behind it may leave another state."""
+        """Apply a call; return whether a crash after it may leave another state."""
         path, file = call.path, self._names.get(call.path)
         match call.kind:
             case "k":
@@ -212,7 +212,7 @@ class Disk:
         self._pending = [change for change in self._pending if change not in within]
 
     def left(self, model: str, chance: random.Random) -> State:
-        """What is on the disk after a crash now."""
+        """Return the content of the disk after a crash at this point."""
         names = dict(self._names if model == "kill" else self._synced)
         if model in ("torn", "pages"):
             for change in self._pending[: chance.randint(0, len(self._pending))]:
@@ -245,7 +245,7 @@ def states(
     some: int | None = None,
     caches: tuple[str, ...] | None = None,
 ) -> Iterator[tuple[str, State, list[int]]]:
-    """What a crash leaves: its name (boundary and model), the folder, the marks before it; each state once.
+    """Yield each crash state once: its name (boundary and model), the folder, the marks before it.
 
     Parameters
     ----------
@@ -270,8 +270,8 @@ def states(
             passed += 1
             if passed % ONE_IN:
                 continue
-        told = models if chosen is None else (models[len(seen) % len(models)],)
-        for model in told:
+        chosen_models = models if chosen is None else (models[len(seen) % len(models)],)
+        for model in chosen_models:
             state = disk.left(model, chance)
             key = hashlib.sha1(repr(disk.marks[-1:]).encode(), usedforsecurity=False)
             for path, content in state.items():
@@ -284,7 +284,7 @@ def states(
 
 
 def _uncommitted(calls: list[Call]) -> set[int]:
-    """Numbers of the calls that write heads or pages of a frame that does not commit."""
+    """Return numbers of the calls that write heads or pages of a frame that does not commit."""
     found, commits = set[int](), True
     for number, call in enumerate(calls):
         if call.kind == "w" and call.path.endswith("-wal"):
@@ -296,7 +296,7 @@ def _uncommitted(calls: list[Call]) -> set[int]:
 
 
 def write_state(state: State, folder: Path) -> None:
-    """Lay a state out."""
+    """Write a state to a folder."""
     folder.mkdir(parents=True, exist_ok=True)
     for path, content in state.items():
         if content is None:
@@ -316,5 +316,5 @@ def state_of(folder: Path) -> State:
 
 
 def set_tracing(trace: Path, under: Path) -> None:
-    """Begin another trace in a program that was started with the library."""
+    """Start another trace in a program that was started with the library."""
     os.environ.update(TRACE_TO=str(trace), TRACE_UNDER=str(under))

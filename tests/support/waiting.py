@@ -29,13 +29,13 @@ class MachineTooSlowError(Exception):
 
 
 def happened(wait: Callable[[float], bool], what: str) -> None:
-    """Wait with whatever takes a timeout and returns whether it happened."""
+    """Wait with a function that takes a timeout and returns whether it happened."""
     if not wait(WAIT_S):
         raise MachineTooSlowError(what)
 
 
 def until(found: Callable[[], T | None], what: str) -> T:
-    """Ask again and again until something other than None, False or empty is found."""
+    """Poll until the result is something other than None, False or empty."""
     deadline_s = time.monotonic() + WAIT_S
     pause, pause_s = threading.Event(), FIRST_PAUSE_S
     while not (answer := found()):

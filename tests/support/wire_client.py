@@ -11,7 +11,7 @@ from simulator.doubles.vendor_api.entry_points import EntryPoint
 
 
 def encode_call(entry: EntryPoint, arguments: Mapping[str, Any]) -> bytes:
-    """Body of a call."""
+    """Return the body of a call."""
     name = entry.name.encode()
     parts = [struct.pack("<H", len(name)), name]
     for parameter in wire.inputs(entry, arguments.get("attribute", 0)):
@@ -22,7 +22,7 @@ def encode_call(entry: EntryPoint, arguments: Mapping[str, Any]) -> bytes:
 def decode_answer(
     entry: EntryPoint, arguments: Mapping[str, Any], body: bytes
 ) -> tuple[int, str, dict[str, Any]]:
-    """Status, text and values of an answer."""
+    """Return status, text and values of an answer."""
     reader = wire.Reader(body)
     status, text = reader.number("i"), reader.text()
     values = {

@@ -70,7 +70,7 @@ def test_a_shot_in_a_batch_has_the_bits_that_it_has_alone(model):
         *(pytest.param(law, marks=pytest.mark.slow) for law in ("tsuji", "kuwabara_kono")),
     ],
 )
-def test_so_has_it_under_every_law_of_damping_and_at_every_contact(law):
+def test_a_shot_in_a_batch_equals_it_alone_under_every_law_of_damping(law):
     chain = ChainParameters(damping_law=law, damping_n_s_per_m=30.0, spheres_above=2, precompression_n=3.0)
     model = ShotModel(chain, PlateParameters(model="infinite_kirchhoff"), PATCH, duration_s=6e-4)
     impacts = [Impact(drop_height_m=h) for h in np.linspace(1e-3, 9e-3, 6)]

@@ -11,7 +11,7 @@ from analysis.statistics.sequence import assess
 NEW_SETS = 3000
 
 
-def judged(name, n, seed):
+def assessment_of(name, n, seed):
     x = healthy(name, n + NEW_SETS, np.random.default_rng([seed, n]))
     return assess(x, np.arange(len(x)) < n, list("abcde"), textbooks=False)
 
@@ -23,7 +23,7 @@ def judged(name, n, seed):
 def test_the_default_limit_keeps_its_rate_with_memory_and_tails(name, n, most_percent):
     rates, plain, alarms = [], [], 0
     for seed in range(25):
-        found = judged(name, n, seed)
+        found = assessment_of(name, n, seed)
         rates.append(100.0 * found.count["default"] / NEW_SETS)
         plain.append(100.0 * found.count["f_predictive"] / NEW_SETS)
         alarms += len(found.onsets)

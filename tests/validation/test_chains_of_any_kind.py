@@ -88,7 +88,7 @@ def test_two_unlike_spheres_exchange_momentum_and_energy(ratio):
     impulse = np.trapezoid(struck_by, force.time_s)
     # Steps of 1e-7 s in a contact of 1e-4 s: order 5/2 at touch and release.
     assert impulse == pytest.approx(2 * mu * speed, rel=1e-6)
-    # The highest sample lies up to half a step beside the peak.
+    # The highest sample is up to half a step from the peak.
     assert struck_by.max() == pytest.approx(stiffness * deepest**1.5, rel=1e-5)
     assert force.time_s[np.flatnonzero(struck_by)[-1]] == pytest.approx(duration, abs=2e-7)  # the sampling
     striker = speed - impulse / MASS_KG
@@ -98,7 +98,7 @@ def test_two_unlike_spheres_exchange_momentum_and_energy(ratio):
     assert not force.contact_force_n[1].any()  # nothing below
 
 
-def test_which_of_two_spheres_strikes_makes_no_difference():
+def test_the_impact_is_symmetric_in_its_two_spheres():
     """Both orders see the same relative motion."""
     small = {"radius_m": 5e-3, "density_kg_per_m3": 4500.0, "youngs_modulus_pa": 110e9, "poisson_ratio": 0.32}
     top, bottom = (

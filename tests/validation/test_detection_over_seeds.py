@@ -49,12 +49,12 @@ def pristine(detection: ModuleType) -> Any:
     return detection.carry_out(detection.Run(position="D", seed=1, scale=1.0, drift=False, hours=60.0))
 
 
-def test_a_pristine_position_is_as_quiet_as_promised(detection: ModuleType, pristine: Any) -> None:
+def test_a_pristine_position_keeps_the_design_false_alarm_rate(detection: ModuleType, pristine: Any) -> None:
     outcome = pristine
     low, high, expected = detection.predictive_counts([outcome], draws=400)
     assert outcome.first_alarm_h is None
     assert low <= outcome.outliers <= high
-    # 72 judged sets at the nominal rate; 400 draws of a count that scatters by less than 1.
+    # 72 assessed sets at the nominal rate; 400 draws of a count that scatters by less than 1.
     assert expected == pytest.approx(0.0027 * outcome.judged, abs=0.2)
 
 
@@ -67,7 +67,7 @@ def test_the_baseline_scatters_as_assumed(pristine: Any) -> None:
 
 
 @pytest.mark.slow
-def test_eleven_seeds_keep_what_is_promised() -> None:
+def test_eleven_seeds_keep_the_documented_rates() -> None:
     """The documented command; its exit code is 1 for a late alarm or a pooled count outside 99.5 %."""
     done = subprocess.run(
         [sys.executable, str(SCRIPT), "--json"], capture_output=True, text=True, check=False

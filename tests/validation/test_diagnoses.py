@@ -27,14 +27,14 @@ def benchmark(*arguments: str) -> list[dict[str, Any]]:
     return runs
 
 
-def test_a_thinning_wall_is_named_before_f_alarms_and_as_nothing_else() -> None:
+def test_a_thinning_wall_is_diagnosed_before_f_alarms_and_as_nothing_else() -> None:
     (run,) = benchmark("--only", "corrosion", "--runs", "1")
     assert run["first_wall_depth"] <= run["first_f_depth"]
     assert run["called"].keys() <= {"ok", "wall", "cannot tell"}
 
 
 @pytest.mark.slow
-def test_neither_healthy_runs_nor_re_seats_nor_sick_sensors_are_walls() -> None:
+def test_healthy_runs_re_seats_and_faulty_sensors_are_not_diagnosed_as_walls() -> None:
     cases = "healthy,re-seat,gain step,tilt,bead wear,striker"
     runs = benchmark("--only", cases, "--runs", "5")
     assert len(runs) == 30
@@ -45,7 +45,9 @@ def test_neither_healthy_runs_nor_re_seats_nor_sick_sensors_are_walls() -> None:
 @pytest.mark.parametrize(
     ("twin", "named", "never"), [(CORROSION, "wall", {"sensor", "coupling"}), (WORN, "sensor", {"wall"})]
 )
-def test_real_shots_tell_a_wall_from_worn_beads(twin: dict[str, Any], named: str, never: set[str]) -> None:
+def test_real_shots_separate_a_wall_change_from_worn_spheres(
+    twin: dict[str, Any], named: str, never: set[str]
+) -> None:
     schedule = {"phases": [{"until_h": END_H, "interval_h": 1.0}], "end_h": END_H}
     settings = load_settings(
         None,

@@ -86,7 +86,7 @@ def test_the_v_shaped_path_reads_too_thick_by_its_geometry(bias):
         pytest.param(0.2, 2.4e-3, 3.8e-3, 0.40e-3, marks=pytest.mark.slow),
     ],
 )
-def test_a_rough_wall_scatters_the_reading_and_the_interval_says_so(
+def test_a_rough_wall_scatters_the_reading_and_widens_the_interval(
     bias, fraction, length_m, thickness_m, sd_m
 ):
     echo = replace(bias.STRAIGHT, roughness_fraction=fraction, correlation_length_m=length_m)

@@ -55,17 +55,17 @@ def test_matched_filter_reaches_the_bound(table):
 
 
 @pytest.mark.parametrize("snr_db", [20, 40])
-def test_each_feature_tells_its_own_scatter(shots, snr_db):
+def test_each_feature_reports_its_own_standard_deviation(shots, snr_db):
     found = shots if snr_db == 40 else extracted(SCENE.with_(noise_fraction=0.1), 200)
     for name in ALL_FEATURE_NAMES:
-        told = [shot.sd[name] for shot in found if name in shot.sd]
+        deviations = [shot.sd[name] for shot in found if name in shot.sd]
         if (snr_db, name) == (20, "ssw_time_s"):
-            assert not told  # a wave of .8 of the noise's rms has no time of first order
+            assert not deviations  # a wave of .8 of the noise's rms has no time of first order
             continue
         scatter = np.std([getattr(shot, name) for shot in found], ddof=1)
-        assert len(told) >= 0.95 * len(found)  # noise may give a small SSW two tops
+        assert len(deviations) >= 0.95 * len(found)  # noise may give a small SSW two tops
         # First order, pulses taken as cos^4: 25 %, of which 200 records' own error of an SD is 5.
-        assert 0.8 < np.median(told) / scatter < 1.25, name
+        assert 0.8 < np.median(deviations) / scatter < 1.25, name
 
 
 def test_autocorrelation_is_as_quiet_and_peaks_by_quartic_less(table):

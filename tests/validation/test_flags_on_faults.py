@@ -1,4 +1,4 @@
-"""What the shot flags find of the twin's seeded faults, judged by the stored truth.
+"""Detection of the twin's seeded faults by the shot flags, compared with the stored truth.
 
 The rates are those that `benchmarks/flags_on_faults.py` prints: 2,000 shots of seed 901. Here 120 shots of
 seed 1 are drawn, and a count must lie in the interval that holds all but 1e-4 of the binomial counts of its
@@ -89,7 +89,7 @@ def test_every_shot_at_a_through_hole_lacks_its_reflected_wave(shoot):
     ],
 )
 def test_hum_is_found_in_part_and_leaves_the_(shoot, name, rate):
-    """At its crest hum hardly moves within a record, and nothing tells it from an offset."""
+    """At its crest hum hardly moves within a record, and it looks like an offset."""
     shots = shoot(name)
     assert_rate(flagged(shots, "baseline"), rate)
     assert all(features.valid for _, features in shots)
@@ -108,7 +108,7 @@ def test_small_spikes_pass_mostly_unseen_and_do_no_harm(shoot):
 
 
 def test_records_that_a_spike_triggered_are_not_valid(shoot):
-    """Each is told as what it is, also one whose wave came in time."""
+    """Each gets its own flag, also one whose wave came in time."""
     shots = shoot("spikes 2 V, 5 Hz")
     falsely = [features for truth, features in shots if truth["fault_false_triggers"] > 0.0]
     rightly = [features for truth, features in shots if truth["fault_false_triggers"] == 0.0]

@@ -43,7 +43,7 @@ def benchmark():
 
 @pytest.mark.parametrize("snr_db", [20.0, 40.0])
 @pytest.mark.parametrize("name", FAULTS)
-def test_each_is_flagged(benchmark, name, snr_db):
+def test_each_foreign_wave_is_flagged(benchmark, name, snr_db):
     flagged, bad = benchmark.rates(getattr(benchmark, name), "cos4", snr_db, N_RECORDS, SEED)
     assert flagged >= bad >= 0.9
 
@@ -57,14 +57,14 @@ def test_a_small_limit_is_flagged_from_30_db_on(benchmark, name):
 
 @pytest.mark.parametrize("snr_db", [20.0, 40.0])
 @pytest.mark.parametrize("shape", ["cos4", "sech2"])
-def test_its_own_are_not(benchmark, shape, snr_db):
+def test_waves_of_the_transducer_are_not_flagged(benchmark, shape, snr_db):
     flagged, _ = benchmark.rates(benchmark.Scene.clean, shape, snr_db, N_RECORDS, SEED)
     # Of 600 at 20 dB half a percent: more than two of 30 are once in a thousand seeds.
     assert flagged <= (0.07 if snr_db == 20.0 else 0.02)
 
 
 @pytest.mark.parametrize(("noise_ends_hz", "snr_db"), [(1e6, 20.0), (500e3, 30.0), (200e3, 30.0)])
-def test_its_own_are_not_where_noise_is_stronger_in_their_band(benchmark, noise_ends_hz, snr_db):
+def test_waves_of_the_transducer_in_coloured_noise_are_not_flagged(benchmark, noise_ends_hz, snr_db):
     clean = benchmark.Scene.clean
     flagged, _ = benchmark.rates(clean, "cos4", snr_db, N_RECORDS, SEED, noise_ends_hz=noise_ends_hz)
     # Up to 2 % of 300 are: more than three of 30 are once in 300 seeds.
@@ -72,7 +72,7 @@ def test_its_own_are_not_where_noise_is_stronger_in_their_band(benchmark, noise_
 
 
 @pytest.mark.parametrize("name", ["second_strike", "knock", "foreign_before"])
-def test_each_is_flagged_where_noise_is_stronger_in_its_band(benchmark, name):
+def test_each_foreign_wave_in_coloured_noise_is_flagged(benchmark, name):
     """Limits that noise widens are no blind eye."""
     flagged, bad = benchmark.rates(getattr(benchmark, name), "cos4", 30.0, N_RECORDS, SEED, noise_ends_hz=5e5)
     assert flagged >= bad >= 0.9
@@ -94,7 +94,7 @@ def test_a_foreign_pulse_alone_is_seldom_like_the_own_wave_of_a_hole(benchmark):
 
 
 @pytest.mark.parametrize("snr_db", [20.0, 40.0])
-def test_a_soft_limit_is_told_of_a_record_alone_by_its_own_height_and_width(benchmark, snr_db):
+def test_a_soft_limit_is_detected_from_one_record_by_its_height_and_width(benchmark, snr_db):
     def bent_to_70(scene):
         """Limit softly, as tanh: the top falls to .7 of the wave."""
         return scene.noisy(0.85 * scene.height * np.tanh(scene.wave(scene.isw_s) / 0.85))

@@ -116,7 +116,7 @@ def test_shots_balance_their_energy_and_equal_those_on_a_rich_basis(case, reduct
         assert difference <= 3e-5 * np.linalg.norm(expected.force_n)
 
 
-def test_patch_beside_the_contact_and_smooth_ones_change_less(reduction_folder):
+def test_an_eccentric_patch_and_a_smooth_one_change_less(reduction_folder):
     def tof_us(**changes):
         patch = CorrosionParameters(size_m=0.04, **changes)
         model = ShotModel(ChainParameters(), BASE, patch, cache_folder=reduction_folder)
@@ -125,8 +125,8 @@ def test_patch_beside_the_contact_and_smooth_ones_change_less(reduction_folder):
     pristine = summarise(
         ShotModel(ChainParameters(), BASE, PATCH, cache_folder=reduction_folder).shot()
     ).tof_us
-    below, beside, far = tof_us(), tof_us(offset_x_m=0.03), tof_us(offset_x_m=0.15)
-    assert pristine < beside < below
+    below, next_to_it, far = tof_us(), tof_us(offset_x_m=0.03), tof_us(offset_x_m=0.15)
+    assert pristine < next_to_it < below
     assert far == pytest.approx(pristine, abs=0.05)
     bowl, cosine = tof_us(profile="bowl"), tof_us(profile="cosine")
     assert pristine < cosine < bowl < below  # the less is lost, the earlier the wave is back

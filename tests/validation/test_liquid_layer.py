@@ -169,7 +169,7 @@ def test_waveform_converges_in_the_number_of_sines():
     assert errors[256, 0.8] < 5e-6
 
 
-def test_wet_shot_balances_its_energy_and_is_told_apart_from_a_dry_one(reduction_folder):
+def test_a_wet_shot_balances_its_energy_and_differs_from_a_dry_one(reduction_folder):
     dry, wet = (
         ShotModel(ChainParameters(), plate, CorrosionParameters(), cache_folder=reduction_folder)
         for plate in (PlateParameters(), PAPER_WET)

@@ -84,7 +84,7 @@ def inner_unknowns(plate):
     ids=["bend x", "bend y", "twist", "rigid"],
 )
 def test_patch_test_on_a_graded_mesh(w, beta_x, beta_y):
-    """A state of constant strain is in equilibrium at every inner node, whatever the element sizes."""
+    """A state of constant strain is in equilibrium at every inner node, for any element sizes."""
     parameters = replace(PAPER, elements_per_edge=16, contact_element_m=1e-3)
     plate = build_plate(parameters, PATCH, whole=True)
     stiffness, _ = plate.at_depth(0.0)

@@ -1,6 +1,6 @@
 """The committed table of every model over depth is what the models give.
 
-`benchmarks/models_over_depth.py --write` renews it, and shows beside each number what a finer mesh and step
+`benchmarks/models_over_depth.py --write` renews it, and shows next to each number what a finer mesh and step
 change. A number may differ by one in its last printed digit: rounding of another machine, not physics.
 """
 

@@ -77,7 +77,7 @@ def test_energy_balances_on_a_plate_for_any_delay(reduction_folder):
         np.testing.assert_array_equal(force.force_n, model.shots([impact])[0].force_n)
 
 
-def test_a_strike_on_a_chain_long_at_rest_is_the_first_one_again():
+def test_a_strike_on_a_resting_chain_repeats_the_first_one():
     """After 40 ms with dashpots nothing moves: same wave, but for the sag of the striker's own weight."""
     heavy = ChainParameters(damping_n_s_per_m=300.0, contact_damping_n_s_per_m=300.0)
     model = ShotModel(heavy, WALL, PATCH, duration_s=42e-3, step_s=5e-7)

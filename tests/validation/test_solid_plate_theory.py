@@ -167,7 +167,7 @@ def test_half_space_indentation_is_the_series_limit():
     assert half_space_indentation_m_per_n(200e9, 0.3, 1e-3) == pytest.approx(expected, rel=3e-7)
 
 
-def test_what_is_left_after_the_indentation_hardly_depends_on_the_radius():
+def test_the_remainder_after_the_indentation_hardly_depends_on_the_radius():
     """The rest grows with ``(a / h)^2``; without the subtraction the values would differ sixfold."""
     net = [
         exact_contact_compliance_m_per_n(replace(THICK, contact_radius_m=radius), 0.02, 0.02, 6e-3)

@@ -76,7 +76,7 @@ def test_every_time_of_flight_grows_with_depth(model, kind):
     assert all(shot.valid for shot in shots)
 
 
-def test_incident_wave_knows_nothing_of_the_wall(model):
+def test_the_incident_wave_does_not_depend_on_the_wall(model):
     shots = [extract_features(record_of(model.shot(depth_fraction=d))) for d in (0.0, 0.4, 0.8)]
     # The converter's step is 1e-4 of the ISW; amplitude and width average hundreds of samples.
     assert np.ptp([shot.isw_amplitude_v for shot in shots]) < 1e-5 * shots[0].isw_amplitude_v

@@ -1,4 +1,4 @@
-"""The study of the levels of nuisance: the documented command says what was judged."""
+"""The study of variability levels: the documented command prints the assessed sets."""
 
 import json
 import subprocess
@@ -11,7 +11,7 @@ SCRIPT = Path(__file__).parents[2] / "benchmarks" / "nuisance_levels.py"
 
 
 @pytest.mark.slow
-def test_a_short_study_judges_every_set_after_the_baseline_and_sees_the_wall() -> None:
+def test_a_short_study_assesses_every_set_after_the_baseline_and_detects_the_wall() -> None:
     command = [
         sys.executable,
         str(SCRIPT),

@@ -77,7 +77,7 @@ def test_figure_10_the_closed_forms_stay_near_the_solution():
 @pytest.mark.parametrize("thickness_m", [6.35e-3, 2e-3])
 @pytest.mark.parametrize("drop_height_m", [2e-3, 8e-3])
 def test_equation_9_is_the_sphere_against_the_plates_impedance(thickness_m, drop_height_m):
-    """``lambda = m / (T Z)`` with eq. 2's stiffness: eq. 8's scaling derived anew, other materials too."""
+    """``lambda = m / (T Z)`` with eq. 2's stiffness: eq. 8's scaling derived again, other materials too."""
     chain = ChainParameters(drop_height_m=drop_height_m, youngs_modulus_pa=70e9, mass_kg=9.8e-3)
     plate = PlateParameters(thickness_m=thickness_m, poisson_ratio=0.34)
     v = 0.682 * math.sqrt(2 * 9.81 * drop_height_m)

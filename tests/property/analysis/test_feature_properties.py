@@ -149,15 +149,15 @@ def alarm_states(assessments, rule):
 
 
 @given(assessments=ASSESSMENTS, k=st.integers(1, 5), spare=st.integers(0, 3))
-def test_alarm_state_follows_from_the_judged_sets_alone(assessments, k, spare):
+def test_alarm_state_follows_from_the_assessed_sets_alone(assessments, k, spare):
     rule = AlarmRule(k=k, n=k + spare)
-    judged = [assessment for assessment in assessments if assessment is not None]
+    assessed = [assessment for assessment in assessments if assessment is not None]
     with_gaps = [
         s for s, v in zip(alarm_states(assessments, rule), assessments, strict=True) if v is not None
     ]
-    assert with_gaps == alarm_states(judged, rule)
+    assert with_gaps == alarm_states(assessed, rule)
     for place, state in enumerate(with_gaps):
-        window = judged[max(0, place + 1 - rule.n) : place + 1]
+        window = assessed[max(0, place + 1 - rule.n) : place + 1]
         if sum(window) >= rule.k:
             assert state.active
         if len(window) == rule.n and sum(window) <= rule.off_at_most:

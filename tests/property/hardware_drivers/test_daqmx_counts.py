@@ -31,7 +31,7 @@ def transport(request):
 
 @pytest.fixture(params=BOARDS.values(), ids=BOARDS.keys(), scope="module")
 def opened(request, transport):
-    """One rig open for all shots: within a turn nothing is created anew."""
+    """Yield one open rig for all shots: within a turn nothing is created."""
     description = quick_description(board(request.param), positions="CD")
     with ExitStack() as stack:
         doubles = stack.enter_context(running_brain(description))

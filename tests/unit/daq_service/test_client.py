@@ -218,7 +218,7 @@ def test_following_outlives_restarts_of_service_and_recorder(tmp_path):
         port = int(first.netloc.rpartition(":")[2])
     # No service runs: present events are received afterwards, with the recorder's restart.
     folder.close()
-    again = FilledFolder(tmp_path, Settings(), begun=True)
+    again = FilledFolder(tmp_path, Settings(), exists=True)
     again.say("noted", text="two")
     with served(again.settings, tmp_path, port=port):
         again.say("noted", text="three")

@@ -58,5 +58,5 @@ def test_parameters_can_be_sent_to_another_process():
     assert pickle.loads(pickle.dumps(window)) == window
 
 
-def test_a_class_says_which_keys_a_file_may_give():
+def test_a_class_forbids_unknown_keys():
     assert Window.__pydantic_config__ == {"extra": "forbid"}

@@ -83,7 +83,7 @@ def test_the_scale_of_the_sum_holds_the_largest_sum():
         (2.0 / 2**32, 24, Codes(width_bits=32, step=256)),
     ],
 )
-def test_the_gain_tells_how_codes_are_padded(gain_v, bits, expected):
+def test_the_gain_shows_how_codes_are_padded(gain_v, bits, expected):
     assert codes_of(gain_v=gain_v, range_v=1.0, resolution_bits=bits) == expected
 
 

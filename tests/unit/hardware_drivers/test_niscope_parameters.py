@@ -32,7 +32,7 @@ def test_a_table_of_a_file_becomes_parameters():
         ({"probes": {"A": {"resource": "Dev1"}}, "record_samples": 8}, "record_samples"),
     ],
 )
-def test_what_cannot_be_meant_is_refused_by_name(table, named):
+def test_an_implausible_value_is_refused_by_name(table, named):
     with pytest.raises(ValidationError, match=named):
         TypeAdapter(NiscopeParameters).validate_python(table)
 

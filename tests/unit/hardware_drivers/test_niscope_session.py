@@ -29,7 +29,7 @@ SETUP = Setup(
 
 
 class Session:
-    """An acquisition that hands over what it is told to."""
+    """An acquisition that returns the given records."""
 
     def __init__(self, **changes):
         self.changes = changes
@@ -70,7 +70,7 @@ def test_a_sound_acquisition_is_handed_on():
 
 
 @pytest.mark.parametrize(
-    ("changes", "said"),
+    ("changes", "message"),
     [
         ({"samples": np.zeros(SAMPLES - 1)}, "asked for 4 records of 64 samples"),
         ({"told": RECORDS - 1}, "asked for 4 records of 64 samples"),
@@ -85,13 +85,13 @@ def test_a_sound_acquisition_is_handed_on():
         ({"offset": math.inf}, "gain and offset differ"),
     ],
 )
-def test_what_contradicts_itself_is_no_record(changes, said):
-    with pytest.raises(ConnectionLostError, match=said):
+def test_an_inconsistent_acquisition_is_not_a_record(changes, message):
+    with pytest.raises(ConnectionLostError, match=message):
         fetch(Session(**changes), SETUP, WIRING, 1.5)
 
 
 @pytest.mark.parametrize(("name", "value"), [("gain", math.nan), ("gain", 1e-3), ("offset", math.nan)])
-def test_a_scaling_that_makes_no_sense_is_no_scaling(monkeypatch, name, value):
+def test_an_invalid_scaling_is_refused(monkeypatch, name, value):
     sound = Session._waveform
 
     def every(self, index, samples):

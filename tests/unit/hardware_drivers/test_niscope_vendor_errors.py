@@ -51,7 +51,7 @@ def test_class_of_a_code_of_the_kernel_below(code, kind):
     assert class_of(code, "") is kind
 
 
-def test_a_wrapped_code_that_nobody_knows_stays_unknown():
+def test_an_unknown_wrapped_code_stays_unknown():
     assert class_of(-1074100000, "Status Code: -123") is UnknownStatusError
 
 
@@ -89,7 +89,7 @@ def test_an_error_of_ours_passes_unchanged():
     assert raised.value is mine
 
 
-def test_what_the_driver_warns_of_is_kept_and_what_others_warn_of_goes_on():
+def test_warnings_of_the_driver_are_kept_and_others_passed_on():
     with warnings.catch_warnings(record=True) as others:
         warnings.simplefilter("always")
         with vendor_calls(niscope, "x") as noted:
@@ -106,7 +106,7 @@ def test_a_missing_package_names_the_extra(monkeypatch):
         vendor_package()
 
 
-def test_a_missing_runtime_says_what_to_install(monkeypatch):
+def test_a_missing_runtime_names_the_package_to_install(monkeypatch):
     nitclk = pytest.importorskip("nitclk")
 
     def not_there(_handle):
@@ -117,7 +117,7 @@ def test_a_missing_runtime_says_what_to_install(monkeypatch):
         vendor_package()
 
 
-def test_a_runtime_that_is_missing_beside_ni_tclk_says_so_too(monkeypatch):
+def test_a_missing_runtime_is_reported_also_next_to_ni_tclk(monkeypatch):
     def not_there(_session, _resource):
         raise niscope.errors.DriverNotInstalledError
 

@@ -24,7 +24,7 @@ OURS = {
 }
 
 
-def test_solimon_s_own_kinds_come_in_by_the_same_door() -> None:
+def test_built_in_kinds_are_found_by_the_same_entry_points() -> None:
     found = offers()
     assert {name: found[name].roles for name in OURS} == OURS
     assert {found[name].distributions for name in OURS} == {(f"solimon {version('solimon')}",)}
@@ -46,9 +46,9 @@ def test_an_unknown_name_is_refused_with_those_that_are_there(
     offer(monkeypatch, tmp_path, OFFERED)
     with pytest.raises(ConfigurationError) as refusal:
         find_kind("picoscope")
-    told = str(refusal.value)
-    assert told.startswith("no installed package offers the kind 'picoscope'; there are: daqmx, liar (lab-")
-    assert "python -m pip install" in told
+    text = str(refusal.value)
+    assert text.startswith("no installed package offers the kind 'picoscope'; there are: daqmx, liar (lab-")
+    assert "python -m pip install" in text
 
 
 @pytest.mark.parametrize("error", ["OSError('libps5000.so: not found')", "SystemExit(0)"])
@@ -63,7 +63,7 @@ def test_a_package_that_does_not_import_is_named_with_its_error(
     assert find_kind("daqmx"), "it hinders no other"
 
 
-def test_what_is_no_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_object_that_is_no_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     offer(monkeypatch, tmp_path, {"word": {"striker": "support.scripted_kinds:NOT_A_KIND"}})
     with pytest.raises(ConfigurationError, match=r"lab-drivers 1.2 .*'word', which is a str, not a hardware"):
         find_kind("word")

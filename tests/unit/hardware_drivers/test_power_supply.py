@@ -13,7 +13,7 @@ PARAMETERS = SupplyParameters(line=SerialLineParameters(port="COM1"), identity="
 
 
 class AnsweringLine:
-    """The supply's end of the line: it keeps what it is told, and may lie about one answer."""
+    """The supply's end of the line: it stores commands, and may falsify one answer."""
 
     name = "the supply"
     connected = True
@@ -35,8 +35,8 @@ class AnsweringLine:
         self.values[word] = value == "ON" if word == "OUTP" else float(value)
 
     def query_number(self, question, deadline_s, **_):
-        told = self.values[question.rstrip("?").removeprefix("MEAS:")]
-        return told + self.lies.get(question, 0.0)
+        number = self.values[question.rstrip("?").removeprefix("MEAS:")]
+        return number + self.lies.get(question, 0.0)
 
     def query_flag(self, question, deadline_s, **_):
         return self.values["OUTP"] if question == "OUTP?" else question in self.lies
@@ -51,7 +51,7 @@ def supply_on(line):
     return supply
 
 
-def test_what_reads_back_within_the_tolerance_is_on_limit_first():
+def test_a_setpoint_within_the_tolerance_is_accepted_and_the_limit_is_set_first():
     line = AnsweringLine(**{"VOLT?": 0.049, "CURR?": -0.019, "MEAS:VOLT?": 0.049})
     supply_on(line).energise(10.0, 1.0)
     assert line.sent == ["OUTP OFF", "CURR 1", "VOLT 10", "OUTP ON"]
@@ -67,7 +67,7 @@ def test_what_reads_back_within_the_tolerance_is_on_limit_first():
         ("MEAS:CURR?", 0.021, r"gives 1.021 A; at most 1.02 A was asked for"),
     ],
 )
-def test_what_lies_beyond_the_tolerance_is_switched_off_again(question, off_by, message):
+def test_a_setpoint_outside_the_tolerance_is_switched_off(question, off_by, message):
     line = AnsweringLine(**{question: off_by})
     with pytest.raises(ConfigurationError, match=message + ".*; the output is off"):
         supply_on(line).energise(10.0, 1.0)
@@ -79,14 +79,14 @@ def test_what_lies_beyond_the_tolerance_is_switched_off_again(question, off_by, 
     ("voltage_v", "current_limit_a", "message"),
     [(12.01, 1.0, "voltage_v is 12.01; .* voltage_cap_v = 12"), (10.0, 2.01, "current_limit_a is 2.01")],
 )
-def test_beyond_the_caps_nothing_is_sent(voltage_v, current_limit_a, message):
+def test_values_above_the_caps_are_not_sent(voltage_v, current_limit_a, message):
     line = AnsweringLine()
     with pytest.raises(ConfigurationError, match=message):
         supply_on(line).energise(voltage_v, current_limit_a)
     assert line.sent == []
 
 
-def test_a_tripped_protection_is_left_for_a_person():
+def test_a_tripped_protection_is_not_reset():
     line = AnsweringLine(**{"CURR:PROT:TRIP?": True})
     with pytest.raises(ConfigurationError, match=r"has tripped .*; the output was left as it was"):
         supply_on(line).energise(10.0, 1.0)
@@ -101,7 +101,7 @@ def test_a_tripped_protection_is_left_for_a_person():
         ({"dialect": "korad"}, "dialect korad asks no protection"),
     ],
 )
-def test_a_protection_that_is_not_asked_for_is_told_as_unknown(changes, unknown):
+def test_a_protection_that_is_not_queried_is_reported_as_unknown(changes, unknown):
     supply = ScpiPowerSupply(
         replace(PARAMETERS, **changes), stamp=lambda: Stamp(utc_ns=0, mono_ns=0, boot_id="test")
     )
@@ -110,7 +110,7 @@ def test_a_protection_that_is_not_asked_for_is_told_as_unknown(changes, unknown)
 
 
 class StuckLine(AnsweringLine):
-    """A supply whose output stays on whatever it is told."""
+    """A supply whose output stays on after any command."""
 
     def query_flag(self, question, deadline_s, **_):
         return question == "OUTP?"
@@ -119,8 +119,8 @@ class StuckLine(AnsweringLine):
         return ConnectionLostError(message)
 
 
-def test_an_output_that_reads_back_as_on_is_never_told_as_off():
+def test_an_output_that_reads_back_as_on_is_never_reported_as_off():
     line = StuckLine()
     with pytest.raises(ConnectionLostError, match=r"what its output does is unknown: .* says it is on"):
         supply_on(line).make_safe()
-    assert line.sent == ["OUTP OFF", "OUTP OFF"]  # tried once more
+    assert line.sent == ["OUTP OFF", "OUTP OFF"]  # tried again

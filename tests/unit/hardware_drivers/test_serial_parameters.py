@@ -54,12 +54,12 @@ def test_a_port_without_a_name_is_refused(port):
         (CLIMATE, {"log_interval_s": float("nan")}, "finite"),
     ],
 )
-def test_what_cannot_work_is_refused_with_its_value(parameters, changes, complaint):
+def test_settings_that_cannot_work_are_refused_with_their_value(parameters, changes, complaint):
     with pytest.raises(ValueError, match=re.escape(complaint)):
         replace(parameters, **changes)
 
 
-def test_what_supplies_need_before_they_obey_is_accepted():
+def test_setup_commands_of_supplies_are_accepted():
     commands = ("SYST:REM", ":INST:NSEL 1", "disp:text 'solimon'")
     assert replace(SUPPLY, setup_commands=commands).setup_commands == commands
 
@@ -88,7 +88,7 @@ def test_the_tables_of_the_how_to_are_accepted(tmp_path):
 
 
 @pytest.mark.parametrize("library", ["/absent/libvisa.so", "@nothing"])
-def test_a_visa_library_that_a_variable_names_in_vain_is_no_question_of_the_cable(monkeypatch, library):
+def test_a_missing_visa_library_is_not_reported_as_a_cable_fault(monkeypatch, library):
     pytest.importorskip("pyvisa", reason='needs the extra "solimon[visa]"')
     monkeypatch.setenv("PYVISA_LIBRARY", library)
     with pytest.raises(ConfigurationError, match="correct the variable PYVISA_LIBRARY"):

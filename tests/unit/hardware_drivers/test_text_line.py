@@ -63,12 +63,12 @@ def line(instrument, monkeypatch):
 )
 def test_units_headers_and_strays_are_understood(line, instrument, says, value):
     instrument.says = f"{says}\n".encode()
-    told = line.query_number("V1?", LATER_S, units=("V",), header="VP1", stray="K")
-    assert told == pytest.approx(value, rel=1e-12)  # the prefix is a product
+    number = line.query_number("V1?", LATER_S, units=("V",), header="VP1", stray="K")
+    assert number == pytest.approx(value, rel=1e-12)  # the prefix is a product
 
 
 @pytest.mark.parametrize("says", ["10.000A", "10.000MV", "10 Vrms", "I1 10.000", "V2 10.0", "10,000", "1_0"])
-def test_what_answers_something_else_is_refused(line, instrument, says):
+def test_a_wrong_reply_is_refused(line, instrument, says):
     instrument.says = f"{says}\n".encode()
     with pytest.raises(ConnectionLostError, match=r"expected V|another question|no number"):
         line.query_number("V1?", LATER_S, units=("V",), header="VP1")
@@ -101,7 +101,7 @@ def test_flags_are_words_or_bits(line, instrument, says, how, flag):
         (b"\x41\x41\n", {"mask": 0x40, "raw": True}),
     ],
 )
-def test_what_is_no_flag_is_refused(line, instrument, says, how):
+def test_an_invalid_flag_is_refused(line, instrument, says, how):
     instrument.says = says
     with pytest.raises(ConnectionLostError, match="expected"):
         line.query_flag("OP1?", LATER_S, **how)
@@ -116,7 +116,7 @@ def test_an_error_is_a_number_and_perhaps_a_text(line, instrument, says, bare, e
 
 
 @pytest.mark.parametrize(("says", "bare"), [("0", False), ("1.0", True), ("ON", True)])
-def test_what_is_no_error_is_refused(line, instrument, says, bare):
+def test_a_reply_that_is_no_error_entry_is_refused(line, instrument, says, bare):
     instrument.says = f"{says}\n".encode()
     with pytest.raises(ConnectionLostError, match="no entry of an error queue"):
         line.query_error("EER?", LATER_S, bare=bare)

@@ -96,7 +96,7 @@ def assert_same(first, second):
     np.testing.assert_array_equal(list(first.truth.values()), list(second.truth.values()))
 
 
-def test_a_strike_elsewhere_is_not_heard(make_bench):
+def test_a_strike_elsewhere_is_not_recorded(make_bench):
     bench = make_bench()
     bench.digitizer.arm(key(position="B"))
     bench.striker.strike(key(position="D"))
@@ -274,45 +274,45 @@ class TestAhead:
             [key(i, 1, "B") for i in range(10)],
         ]
 
-    def test_never_more_than_so_many_wait(self, make_bench, clock, held):
+    def test_the_number_of_waiting_jobs_is_limited(self, make_bench, clock, held):
         bench = make_bench(executor=held)
         shoot(bench, key(0))
         assert RECORDS_AHEAD - LARGEST_GROUP < len(held.submitted) <= RECORDS_AHEAD
 
-    def test_a_strike_that_nobody_planned_waits_for_no_other(self, make_bench, held):
+    def test_an_unscheduled_strike_waits_for_no_other(self, make_bench, held):
         # The worker is held up: this would never end if the strike were queued behind those to come.
         bench = make_bench(executor=held)
         shoot(bench, key(0))
-        begun = list(held.submitted)
+        submitted = list(held.submitted)
         assert_same(shoot(bench, key(0, attempt=1)), shoot(make_bench(), key(0, attempt=1)))
-        assert held.submitted == begun  # all of them are still expected
+        assert held.submitted == submitted  # all of them are still expected
         assert not any(future.cancelled() for future in held.futures)
 
-    def test_what_is_expected_no_more_is_dropped(self, make_bench, clock, held):
+    def test_strikes_no_longer_expected_are_dropped(self, make_bench, clock, held):
         bench = make_bench(executor=held)
         shoot(bench, key(0))
-        begun = len(held.futures)
+        n_submitted = len(held.futures)
         clock.go_to_hour(50.0)
         shoot(bench, key(0, set_index=100))
-        assert all(future.cancelled() for future in held.futures[:begun])
-        assert held.groups[begun][0] == key(1, set_index=100)
-        assert not any(future.cancelled() for future in held.futures[begun:])
+        assert all(future.cancelled() for future in held.futures[:n_submitted])
+        assert held.groups[n_submitted][0] == key(1, set_index=100)
+        assert not any(future.cancelled() for future in held.futures[n_submitted:])
 
     def test_a_group_of_which_some_are_still_expected_goes_on(self, make_bench, clock, held):
         clock.go_to_hour(0.55)
         bench = make_bench(executor=held)
         shoot(bench, key(0))
-        begun = list(held.submitted)
-        # The second to fourth strike do not come; they were begun together with the fifth.
+        submitted = list(held.submitted)
+        # The second to fourth strike do not come; they were started together with the fifth.
         clock.now_ns += 12 * NS_PER_S
         assert_same(shoot(bench, key(3, attempt=1)), shoot(make_bench(), key(3, attempt=1)))
-        assert held.submitted == begun
+        assert held.submitted == submitted
         assert not any(future.cancelled() for future in held.futures)
 
-    def test_a_retired_position_is_expected_again_once_it_strikes(self, make_bench, clock, executor):
+    def test_a_disabled_position_is_expected_again_after_a_strike(self, make_bench, clock, executor):
         bench = make_bench(executor=executor)
         list(self.strike_all(bench, clock, [key(9, 0, "B")], 0.5))
-        for set_index in (1, 2):  # position D strikes no more
+        for set_index in (1, 2):  # position D stops striking
             executor.submitted.clear()
             shots = [key(i, set_index) for i in range(10)]
             list(self.strike_all(bench, clock, shots, 0.5 + 0.5 * set_index))
@@ -360,7 +360,7 @@ def quiet(twin=TWIN):
 
 
 def assert_is_simulated(truth, force):
-    """The truth's numbers are those of the model at the stored depth, drop height and tilt."""
+    """Check that the truth equals the model at the stored depth, drop height and tilt."""
     pulses = summarise(force)
     expected = {
         "isw_peak_n": pulses.isw_peak_n,
@@ -399,7 +399,7 @@ def test_without_noise_the_record_is_the_models_force(make_bench, model):
     t = waveform.time_s() + truth["trigger_time_s"]
     dynamic_n = np.interp(t, force.time_s, force.force_n - force.preload_n, left=0.0)
     error_v = waveform.volts() - truth["sensor_gain_v_per_n"] * dynamic_n
-    # Where a contact opens, the dashpots' force jumps between two points of the grid: nobody knows where.
+    # Where a contact opens, the dashpots' force jumps between two points of the grid, at an unknown place.
     jumps_s = force.time_s[1:-1][np.abs(np.diff(force.force_n, 2)) > 0.1]
     smooth = np.all(np.abs(t[:, np.newaxis] - jumps_s) > 1.5e-6, axis=1)
     assert np.count_nonzero(~smooth) < 0.03 * t.size

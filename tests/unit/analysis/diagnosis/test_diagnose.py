@@ -47,7 +47,7 @@ ZERO = np.zeros(len(COMPONENTS))
 
 
 def healthy(seed: int, sets: int = BASELINE + AFTER) -> FloatArray:
-    """Independent sets of a chain whose every contact sits a little differently in each."""
+    """Return independent sets of a chain whose contacts vary slightly."""
     random = np.random.default_rng(seed)
     shape = (sets, len(SD))
     noise = 1e-3 * random.standard_normal((sets, len(COMPONENTS)))
@@ -55,19 +55,21 @@ def healthy(seed: int, sets: int = BASELINE + AFTER) -> FloatArray:
 
 
 def growing(target: FloatArray) -> FloatArray:
-    """Change of each set: nothing in the baseline, then evenly more."""
+    """Return the change of each set: zero in the baseline, then growing linearly."""
     return np.linspace(0.0, 1.0, AFTER + 1)[1:, None] * target
 
 
 def wall(depth: float) -> FloatArray:
-    """Change by a wall that thins evenly to this depth."""
+    """Return the change by a wall that thins linearly to this depth."""
     depths = np.linspace(0.0, depth, AFTER + 1)[1:]
     curve = np.vstack([ZERO, WALL_B])
     return np.stack([np.interp(depths, [0.0, *DEPTHS], column) for column in curve.T], axis=1)
 
 
-def judged(change: FloatArray, seed: int = 1, confirmation: FloatArray | None = None) -> Iterator[Diagnosis]:
-    """Verdicts of every fifth set after the baseline; a confirmation is struck after their 30th."""
+def diagnoses(
+    change: FloatArray, seed: int = 1, confirmation: FloatArray | None = None
+) -> Iterator[Diagnosis]:
+    """Yield the diagnosis of every fifth set after the baseline; a confirmation follows their 30th."""
     logs = healthy(seed)
     logs[BASELINE:] += change
     design = diagnosis_parameters(logs[:BASELINE])
@@ -82,8 +84,8 @@ def judged(change: FloatArray, seed: int = 1, confirmation: FloatArray | None = 
             yield assessment
 
 
-def test_a_thinning_wall_is_named_and_its_incident_wave_is_as_it_was() -> None:
-    found = list(judged(wall(0.3)))
+def test_a_thinning_wall_is_diagnosed_and_its_incident_wave_unchanged() -> None:
+    found = list(diagnoses(wall(0.3)))
     assert found[-1].cause == WALL
     assert found[-1].probability > 0.99
     assert found[-1].abrupt < 0.01
@@ -92,25 +94,25 @@ def test_a_thinning_wall_is_named_and_its_incident_wave_is_as_it_was() -> None:
     assert {one.cause for one in found} <= {OK, UNDETERMINED, WALL}
 
 
-def test_a_healthy_transducer_is_never_told_to_have_a_sick_wall() -> None:
-    causes = [one.cause for seed in range(5) for one in judged(np.zeros((AFTER, 7)), seed)]
+def test_a_healthy_transducer_is_never_diagnosed_as_wall_thinning() -> None:
+    causes = [one.cause for seed in range(5) for one in diagnoses(np.zeros((AFTER, 7)), seed)]
     assert WALL not in causes
     assert causes.count(OK) > 0.98 * len(causes)
 
 
 @pytest.mark.parametrize("target", [-0.4 * np.array(GAIN), -0.5 * np.array(DROP_HEIGHT)])
-def test_what_moves_the_incident_wave_is_the_sensor_s(target: FloatArray) -> None:
-    found = list(judged(growing(target)))
+def test_a_change_of_the_incident_wave_is_diagnosed_as_sensor(target: FloatArray) -> None:
+    found = list(diagnoses(growing(target)))
     assert found[-1].cause == SENSOR
     assert WALL not in {one.cause for one in found}
 
 
 def test_a_step_is_a_contact_once_a_confirmation_shows_it_again() -> None:
-    alone = list(judged(np.tile(FOOT, (AFTER, 1))))
+    alone = list(diagnoses(np.tile(FOOT, (AFTER, 1))))
     assert alone[4].cause == UNDETERMINED
     assert alone[4].abrupt > 0.9
-    confirmed = list(judged(np.tile(FOOT, (AFTER, 1)), confirmation=FOOT))
-    # It is remembered of all sets to come, though nothing is struck beside the plan any more.
+    confirmed = list(diagnoses(np.tile(FOOT, (AFTER, 1)), confirmation=FOOT))
+    # It is remembered of all sets to come, though no unscheduled set is struck any more.
     assert {one.cause for one in confirmed[6:]} == {COUPLING}
     assert confirmed[-1].probability > 0.9
     assert confirmed[-1].confirmed
@@ -119,34 +121,36 @@ def test_a_step_is_a_contact_once_a_confirmation_shows_it_again() -> None:
 
 @pytest.mark.parametrize("depth", [2, 4])
 def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(depth: int) -> None:
-    found = judged(np.tile(WALL_B[depth], (AFTER, 1)), confirmation=np.array(WALL_B[depth]))
+    found = diagnoses(np.tile(WALL_B[depth], (AFTER, 1)), confirmation=np.array(WALL_B[depth]))
     assert WALL not in {one.cause for one in found}
 
 
-def test_another_chart_s_alarm_that_nothing_explains_cannot_be_told() -> None:
+def test_an_alarm_that_no_cause_explains_is_undetermined() -> None:
     logs = healthy(3)
     design = diagnosis_parameters(logs[:BASELINE])
     memory = with_set(DiagnosisState(), design.mean, logs[BASELINE], BASELINE)
     assert diagnosis_of(memory, design).cause == OK
-    told = diagnosis_of(memory, design, suspicious=True)
-    assert (told.cause, told.probability) == (UNDETERMINED, told.probabilities[OK])
-    assert sum(told.probabilities.values()) == pytest.approx(1.0)
+    diagnosis = diagnosis_of(memory, design, suspicious=True)
+    assert (diagnosis.cause, diagnosis.probability) == (UNDETERMINED, diagnosis.probabilities[OK])
+    assert sum(diagnosis.probabilities.values()) == pytest.approx(1.0)
 
 
-def test_what_is_remembered_survives_a_restart_as_json() -> None:
+def test_the_diagnosis_state_survives_a_restart_as_json() -> None:
     logs = healthy(4) + 0.002
     design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
     for index in range(BASELINE, BASELINE + 20):
         stored = json.loads(json.dumps(asdict(memory)))
         stored["changes"] = tuple(tuple(one) for one in stored["changes"])
-        told = DiagnosisState(**(stored | {name: tuple(stored[name]) for name in ("confirmation", "moved")}))
-        assert told == memory
-        memory = with_set(told, design.mean, logs[index], index)
+        restored = DiagnosisState(
+            **(stored | {name: tuple(stored[name]) for name in ("confirmation", "moved")})
+        )
+        assert restored == memory
+        memory = with_set(restored, design.mean, logs[index], index)
     assert memory.n == 20
 
 
-def test_a_set_that_lacks_a_feature_has_no_logarithms_and_a_wrong_history_is_told() -> None:
+def test_a_set_without_a_feature_has_no_logarithms_and_a_wrong_history_is_reported() -> None:
     values: dict[str, float | None] = dict.fromkeys(COMPONENTS, 2.0)
     assert logs_of(values) == pytest.approx(np.log(np.full(7, 2.0)))
     assert logs_of(values | {"isw_fwhm_s": None}) is None
@@ -155,15 +159,17 @@ def test_a_set_that_lacks_a_feature_has_no_logarithms_and_a_wrong_history_is_tol
         diagnosis_parameters(healthy(1)[:200, :5])
 
 
-def test_few_sets_make_a_design_too_and_tell_less_of_a_small_change() -> None:
+def test_few_sets_give_parameters_that_show_a_small_change_less() -> None:
     few, many = (diagnosis_parameters(healthy(6)[:n]) for n in (24, 200))
     assert isinstance(few, DiagnosisParameters)
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
-    told = [diagnosis_of(DiagnosisState(n=60, index=300, changes=change), one) for one in (few, many)]
-    assert told[0].probabilities[OK] > 0.9 > 0.5 > told[1].probabilities[OK]
+    diagnoses_of_both = [
+        diagnosis_of(DiagnosisState(n=60, index=300, changes=change), one) for one in (few, many)
+    ]
+    assert diagnoses_of_both[0].probabilities[OK] > 0.9 > 0.5 > diagnoses_of_both[1].probabilities[OK]
 
 
-def test_a_wander_is_forgotten_with_the_plan_s_sets_wherever_the_baseline_began() -> None:
+def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_started() -> None:
     history = healthy(6)[:BASELINE]
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
 
@@ -176,7 +182,7 @@ def test_a_wander_is_forgotten_with_the_plan_s_sets_wherever_the_baseline_began(
     assert ok(0, BASELINE + 1500) > ok(0, BASELINE + 59) + 0.05
 
 
-def test_a_wall_is_named_by_the_second_sure_set_and_a_confirmation_is_one() -> None:
+def test_a_wall_is_diagnosed_by_two_consecutive_sets_including_a_confirmation() -> None:
     logs = healthy(2)
     logs[BASELINE:] += wall(0.4)
     design = diagnosis_parameters(logs[:BASELINE])
@@ -197,7 +203,7 @@ def test_a_wall_is_named_by_the_second_sure_set_and_a_confirmation_is_one() -> N
     assert not healthy_again.likely
 
 
-def test_a_wall_that_was_not_named_before_takes_more_to_be_sure() -> None:
+def test_a_first_wall_diagnosis_needs_a_higher_probability() -> None:
     design = diagnosis_parameters(healthy(2)[:BASELINE])
     course = np.array([[1.0], [0.95], [0.6]]) * wall(0.3)[-1]  # it grows: the longest average is behind
     last = BASELINE + AFTER - 1
@@ -212,31 +218,31 @@ def test_a_wall_that_was_not_named_before_takes_more_to_be_sure() -> None:
     assert not any(state_with_diagnosis(one, diagnosis_of(one, design)).likely for one in between)
 
 
-def test_a_wall_once_named_is_taken_back_by_nothing_but_health() -> None:
+def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets() -> None:
     logs = healthy(2)
     design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState(wall=True)
     for index in range(BASELINE, BASELINE + 60):
         sick = logs[index] + (index - BASELINE) * -0.01 * np.array(GAIN)
         memory = with_set(memory, design.mean, sick, index)
-    told = diagnosis_of(memory, design)
-    assert told.probabilities[SENSOR] > 0.9
-    assert told.cause == UNDETERMINED
-    assert state_with_diagnosis(memory, told).wall
+    diagnosis = diagnosis_of(memory, design)
+    assert diagnosis.probabilities[SENSOR] > 0.9
+    assert diagnosis.cause == UNDETERMINED
+    assert state_with_diagnosis(memory, diagnosis).wall
     assert not state_with_diagnosis(memory, diagnosis_of(DiagnosisState(), design)).wall
 
 
-def test_behind_a_re_seat_a_wall_is_named_and_a_return_is_health() -> None:
+def test_a_wall_is_diagnosed_after_a_re_seat_and_a_return_is_healthy() -> None:
     onset = np.arange(AFTER)[:, None] >= 60
     thinner = np.where(onset, FOOT + 2.0 * (wall(0.4) - wall(0.4)[60]), FOOT)
-    causes = [one.cause for one in judged(thinner, confirmation=FOOT)]
+    causes = [one.cause for one in diagnoses(thinner, confirmation=FOOT)]
     assert causes[8] == COUPLING
     assert causes[-1] == WALL
-    back = [one.cause for one in judged(np.where(onset, 0.0, FOOT), confirmation=FOOT)]
+    back = [one.cause for one in diagnoses(np.where(onset, 0.0, FOOT), confirmation=FOOT)]
     assert (back[8], back[-1]) == (COUPLING, OK)
 
 
-def test_where_a_contact_sits_is_learnt_from_the_next_sets_alone() -> None:
+def test_the_new_contact_level_is_estimated_from_the_following_sets() -> None:
     logs, mean = healthy(5), np.zeros(len(COMPONENTS))
     memory = DiagnosisState(moved=(1.0,) * len(COMPONENTS))
     for index in range(SETTLING + 5):
@@ -245,7 +251,7 @@ def test_where_a_contact_sits_is_learnt_from_the_next_sets_alone() -> None:
     assert np.abs(memory.averages(from_moved=True)).max() < np.abs(logs).max()
 
 
-def test_what_has_grown_while_nothing_was_struck_is_no_step() -> None:
+def test_growth_during_a_gap_is_not_a_step() -> None:
     logs = healthy(7)
     logs[BASELINE:] += wall(0.4)
     design = diagnosis_parameters(logs[:BASELINE])
@@ -271,11 +277,11 @@ def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.6, 0.95])
-def test_averages_scatter_as_sets_with_memory_make_them(phi: float) -> None:
+def test_averages_scatter_as_autocorrelated_sets_do(phi: float) -> None:
     n, confirmation_ago = 40, 3
     sets = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     found = covariance_of_averages(n, phi, confirmation_ago)
     assert found[:3, :3] == pytest.approx(weights(n) @ sets @ weights(n).T)
-    # The set beside the plan is no copy of the planned one that it follows.
+    # The unscheduled set is no copy of the scheduled one that it follows.
     confirmation_change = sets[confirmation_ago] - (1.0 - phi) * (np.arange(n) == confirmation_ago)
     assert found[3] == pytest.approx([*(weights(n) @ confirmation_change), 1.0])

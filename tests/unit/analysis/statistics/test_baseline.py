@@ -16,7 +16,7 @@ SPREAD = np.array([1.6e-6, 1.5e-6, 0.0125, 0.006, 9e-6])
 
 
 def healthy(n, seed=0):
-    """Feature vectors of realistic size, spread and correlation, shape (n, 5)."""
+    """Return feature vectors of realistic size, spread and correlation, shape (n, 5)."""
     random = np.random.default_rng(seed)
     common = random.standard_normal((n, 1))
     return CENTRE + SPREAD * (0.8 * common + 0.6 * random.standard_normal((n, 5)))

@@ -9,8 +9,8 @@ NAN = float("nan")
 
 
 def bins(**changed):
-    """Bins of six sets: one without any value, one outlier, one missed."""
-    told = {
+    """Return bins of six sets: one without any value, one outlier, one missed."""
+    columns = {
         "set_index": [0, 1, 2, 3, 4, 7],
         "due_h": [0.5, 1.0, 1.5, 2.0, 2.5, 4.0],
         "values": [[1.0, 5.0], [3.0, NAN], [-2.0, 7.0], [NAN, NAN], [4.0, NAN], [6.0, NAN]],
@@ -21,10 +21,10 @@ def bins(**changed):
         "in_baseline": [True, False, False, False, False, False],
         "n_alarms": [0, 0, 1, 2, 0, 0],
     }
-    return bins_of_sets(**{**told, **changed})
+    return bins_of_sets(**{**columns, **changed})
 
 
-def test_a_bin_says_what_its_sets_say():
+def test_a_bin_summarizes_its_sets():
     first, last = joined_bins(bins(), [0, 4])
     assert (first["first_set"], first["last_set"], first["first_h"], first["last_h"]) == (0, 3, 0.5, 2.0)
     assert (last["first_set"], last["last_set"]) == (4, 7)
@@ -40,7 +40,7 @@ def test_a_bin_says_what_its_sets_say():
     assert (last["n_alarms"], last["first_alarm"]) == (0, np.inf)
 
 
-def test_what_nothing_says_stays_nothing():
+def test_bins_without_values_stay_empty():
     (joined,) = joined_bins(bins(values=[[NAN, NAN]] * 6, quality=[None] * 6), [0])
     assert joined["count"].tolist() == [0, 0]
     assert (joined["minimum"] == np.inf).all()
@@ -50,7 +50,7 @@ def test_what_nothing_says_stays_nothing():
 
 @pytest.mark.parametrize("starts", [[0, 1, 2, 3, 4, 5], [0, 2, 4], [0, 4]])
 def test_bins_of_bins_are_bins_of_sets(starts):
-    """An outlier is told at each level."""
+    """An outlier is visible at each level."""
     whole = joined_bins(bins(), [0])
     assert joined_bins(joined_bins(bins(), starts), [0]).tobytes() == whole.tobytes()
     assert whole[0]["n_outliers"] == 2

@@ -8,7 +8,7 @@ from analysis.statistics.directions import directions_of, phi_of_averages
 from analysis.statistics.memory import pooled_phi
 
 
-def test_directions_of_a_mixture_have_the_memory_that_was_mixed():
+def test_directions_of_a_mixture_have_the_mixed_autocorrelations():
     random = np.random.default_rng(0)
     x = remembering(random.standard_normal((20_300, 5)), UNEQUAL)
     found = directions_of(x @ random.standard_normal((5, 5)))
@@ -19,7 +19,7 @@ def test_directions_of_a_mixture_have_the_memory_that_was_mixed():
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.6])
-def test_memory_that_all_share_is_found_as_exactly_as_all_of_them_tell(phi):
+def test_common_autocorrelation_is_estimated_from_all_features(phi):
     random, found, pooled = np.random.default_rng(1), [], []
     for _ in range(100):
         x = remembering(random.standard_normal((500, 5)), phi)
@@ -30,14 +30,14 @@ def test_memory_that_all_share_is_found_as_exactly_as_all_of_them_tell(phi):
     assert np.mean(found) == pytest.approx(np.mean(pooled), abs=0.02)
 
 
-def test_memory_is_that_of_neighbours_where_sets_are_missing():
+def test_autocorrelation_uses_neighbouring_sets_only_where_sets_are_missing():
     x = remembering(np.random.default_rng(2).standard_normal((9300, 5)), 0.8)
     x[2::3] = np.nan
     # Of 3,000 neighbours; half as much if sets without one counted.
     assert directions_of(x).phi == pytest.approx(np.full(5, 0.8), abs=0.05)
 
 
-def test_the_guard_sees_memory_that_one_lag_hides():
+def test_the_guard_detects_autocorrelation_that_lag_1_hides():
     wander = remembering(np.random.default_rng(3).standard_normal((1300, 5)), 0.95)
     x = wander + 2.0 * np.random.default_rng(4).standard_normal((1000, 5))
     found = directions_of(x)

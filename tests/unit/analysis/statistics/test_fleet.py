@@ -29,7 +29,7 @@ P = 5
 NAMES = list("abcde")
 
 
-def test_a_chart_at_its_limit_has_the_chance_that_its_run_length_says():
+def test_a_chart_at_its_limit_has_the_rate_of_its_run_length():
     limit = estimated_limit(200, P, 1000.0)
     chance = running_chance(np.array([np.nan, 1.0, limit, 2.0, np.nan]), 200, P, 250)
     # Between the table's run lengths the limit is nearly linear in their logarithm.
@@ -67,7 +67,7 @@ def test_standardized_by_the_baseline_alone():
     assert np.isnan(z[:, 1:]).all()
 
 
-def test_what_all_share_is_their_median_that_some_sick_ones_do_not_move():
+def test_the_common_deviation_is_the_median_over_sensors():
     x = np.tile(np.array([2.0, -1.0]), (30, 3, 1))
     x[:5] += 50.0
     x[:12, 1] = np.nan  # 18 of 30 are left: too few
@@ -76,7 +76,7 @@ def test_what_all_share_is_their_median_that_some_sick_ones_do_not_move():
     assert not shared_deviation(x[: FEWEST_SENSORS - 1]).any()
 
 
-def test_memory_and_tails_of_the_fleet_are_those_of_its_sensors():
+def test_autocorrelation_and_tails_of_the_fleet_are_those_of_its_sensors():
     random = np.random.default_rng(9)
 
     def baselines(name):
@@ -107,7 +107,7 @@ def test_a_shared_shift_is_named_with_its_rows_and_size():
     assert find_shared_changes(shared, FEWEST_SENSORS - 1, 0.0, 50) == ()
 
 
-def test_independent_sensors_share_nothing_and_one_in_twenty_moves_the_median_little():
+def test_one_changed_sensor_in_twenty_moves_the_median_little():
     random = np.random.default_rng(5)
     z = random.standard_normal((20, 2000, P))
     z[0, 500:] += 6.0
@@ -115,7 +115,7 @@ def test_independent_sensors_share_nothing_and_one_in_twenty_moves_the_median_li
     assert find_shared_changes(shared, 20, 0.0, 0) == ()
 
 
-def test_the_unbroken_chart_is_the_chart_until_its_first_alarm():
+def test_the_continuous_chart_equals_the_chart_until_its_first_alarm():
     random = np.random.default_rng(6)
     x = random.standard_normal((260, P))
     x[230:] += 5.0
@@ -125,7 +125,7 @@ def test_the_unbroken_chart_is_the_chart_until_its_first_alarm():
     assert found.unbroken[-1] > found.chart_limit > found.chart[first + 1]
 
 
-def test_features_that_move_together_err_together():
+def test_features_that_move_together_have_correlated_errors():
     one = np.random.default_rng(2).standard_normal((500, 1))
     both = np.hstack([one, -one, np.random.default_rng(3).standard_normal((500, 1))])
     # An unrelated feature: squared correlations of 1/500 on average, five standard errors.
@@ -136,7 +136,7 @@ def test_features_that_move_together_err_together():
     np.testing.assert_array_equal(short, np.eye(3))
 
 
-def test_what_unlike_sensors_keep_of_the_weather_is_found():
+def test_residual_weather_effects_of_unlike_sensors_are_detected():
     """A season of 2 SD; gains that scatter by a fifth leave three fifths of 2 SD with some sensors."""
     random = np.random.default_rng(5)
     shared = 2.0 * np.sin(np.arange(500) / 80.0)[:, None] * np.linspace(1.0, 0.2, P)

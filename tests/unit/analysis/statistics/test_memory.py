@@ -26,7 +26,7 @@ def test_autocorrelation_is_that_of_numpy_and_gaps_keep_their_place():
     assert autocorrelation(gap, 1) == pytest.approx(without / (z**2).mean(axis=0))
 
 
-def test_a_constant_feature_has_no_memory():
+def test_a_constant_feature_has_no_autocorrelation():
     x = np.random.default_rng(0).standard_normal((20, 2))
     x[:, 1] = 3.0
     assert autocorrelation(x, 1)[1] == 0.0
@@ -35,7 +35,7 @@ def test_a_constant_feature_has_no_memory():
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.3, 0.6])
-def test_pooled_phi_has_no_bias_worth_speaking_of(phi):
+def test_pooled_phi_has_a_negligible_bias(phi):
     found = [
         pooled_phi(remembering(np.random.default_rng(seed).standard_normal((348, 5)), phi))
         for seed in range(200)
@@ -44,7 +44,7 @@ def test_pooled_phi_has_no_bias_worth_speaking_of(phi):
     assert np.mean(found) == pytest.approx(phi, abs=0.045 if phi == 0.0 else 0.025)
 
 
-def test_corrected_is_clipped_and_small_memory_is_none():
+def test_corrected_autocorrelation_is_clipped_and_small_values_are_zero():
     assert corrected_autocorrelation([-0.5, 0.9999], 48).tolist() == [0.0, 0.95]
     assert significant_phi(0.2, 48) == 0.0  # 1.64/sqrt(48) = .237
     assert significant_phi(0.3, 48) == 0.3

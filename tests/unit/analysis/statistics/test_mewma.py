@@ -32,7 +32,7 @@ def test_with_a_thousand_features_the_equation_still_has_an_answer():
     assert 1500 < known_limit(1500, 500.0) < known_limit(1500, 43830.0) < 2000
 
 
-def test_without_memory_it_is_the_chi_square_chart():
+def test_without_autocorrelation_it_is_the_chi_square_chart():
     # weight 1: the statistic is the set's own squared distance, 9.488 its 5 % point at p = 4.
     assert average_run_length(9.487729, 4, 1.0) == pytest.approx(20.0, rel=1e-4)
 
@@ -49,7 +49,7 @@ def test_simulated_run_length_is_that_of_the_equation():
     assert np.mean(lengths) == pytest.approx(100.0, rel=0.2)
 
 
-def test_an_estimated_baseline_widens_it():
+def test_an_estimated_baseline_widens_the_limit():
     narrow, wide = known_limit(5, 43830.0), estimated_limit(48, 5, 43830.0)
     chi_square = chi2.isf(1 / 43830.0, 5)
     expected = narrow * f_predictive_limit(48, 5, 1 / 43830.0) / chi_square * (1 + 1.9 / (0.1 * 48))
@@ -75,7 +75,7 @@ def test_statistics_step_by_step_and_a_gap_leaves_them():
 
 
 @pytest.mark.parametrize("bad", [{"limit": 0.0, "p": 5}, {"limit": 1.0, "p": 0}])
-def test_terms_that_make_no_chart_are_refused(bad):
+def test_invalid_chart_parameters_are_refused(bad):
     with pytest.raises(InvalidInputError):
         average_run_length(**bad)
     with pytest.raises(InvalidInputError, match="more than 1 set"):

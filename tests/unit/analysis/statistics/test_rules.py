@@ -40,12 +40,12 @@ def test_three_of_six_do_not_raise():
     assert not any(active([X, O, O, X, O, X]))
 
 
-def test_alarm_stays_until_five_judged_sets_are_quiet():
+def test_alarm_stays_until_five_assessed_sets_are_quiet():
     assert active([X, X, X, O, O, O, O, O]) == [O, O, X, X, X, X, X, O]
     assert active([X, X, X, O, O, O, O, X, O, O, O, O, O])[-1] is False
 
 
-def test_unjudged_sets_neither_raise_nor_clear_nor_take_a_place():
+def test_unassessed_sets_neither_raise_nor_clear_an_alarm_nor_count():
     assert active([X, None, None, X, None, O, None, O, X]) == [O, O, O, O, O, O, O, O, X]
     assert active([X, X, X, *[None] * 20]) == [O, O] + [X] * 21
     assert active([X, X, X, O, None, O, None, O, O, None, O])[-2:] == [X, O]
@@ -97,7 +97,7 @@ def holes(sets, rule=HoleRule()):  # noqa: B008 frozen
     return [state.hole for state in after_each(next_hole_state, HoleState(), sets, rule)]
 
 
-def test_two_silent_sets_running_are_a_hole():
+def test_two_consecutive_silent_sets_are_a_hole():
     assert holes([HOLE_SET, HOLE_SET]) == [False, True]
     assert holes([HOLE_SET, WALL_SET, HOLE_SET]) == [False, False, False]
 
@@ -114,7 +114,7 @@ def test_hole_does_not_heal():
     assert holes([HOLE_SET, HOLE_SET, WALL_SET, WALL_SET])[-1] is True
 
 
-def test_flag_counts_beside_other_flags():
+def test_a_flag_counts_together_with_other_flags():
     both = [("double", "no_psw")] * 7 + [HEARD] * 3
     assert next_hole_state(HoleState(sets_running=1), both).hole
 
@@ -127,7 +127,7 @@ def test_impossible_hole_rule_is_refused():
 
 
 def poor_sets(*sets):
-    """Count after each set of (valid, tried) shots of ten, seven of which must be valid."""
+    """Return the count after each set of (valid, attempted) shots of ten; seven must be valid."""
     running, counts = 0, []
     for n_valid, n_tried in sets:
         running = next_poor_sets(running, n_valid=n_valid, n_tried=n_tried, n_planned=10, minimum_valid=7)
@@ -139,7 +139,7 @@ def test_sets_with_too_few_valid_shots_are_counted_while_they_run():
     assert poor_sets((0, 10), (6, 10), (7, 10), (0, 10)) == [1, 2, 0, 1]
 
 
-def test_a_set_in_which_nothing_was_tried_neither_counts_nor_interrupts():
+def test_a_set_without_attempts_neither_counts_nor_interrupts():
     assert poor_sets((0, 10), (0, 0), (0, 10)) == [1, 1, 2]
 
 

@@ -16,13 +16,13 @@ from analysis.statistics.sequence import assess
 NAMES = list("abcde")
 
 
-def judged(x, n, **options):
+def assessment_of(x, n, **options):
     return assess(x, np.arange(len(x)) < n, NAMES[: x.shape[1]], **options)
 
 
 def test_distances_and_limits_are_those_of_the_baseline_alone():
     x = healthy("independent", 300, np.random.default_rng(0))
-    found = judged(x, 48)
+    found = assessment_of(x, 48)
     baseline = fit_baseline(x[:48], range(48), name="b", feature_names=NAMES)
     assert found.distances_squared == pytest.approx(distance_squared(x, baseline))
     assert np.isnan(found.chart[:48]).all()
@@ -40,8 +40,8 @@ def test_distances_and_limits_are_those_of_the_baseline_alone():
 def test_units_and_mixtures_of_the_features_change_nothing_that_decides():
     x = healthy("AR .6", 400, np.random.default_rng(1))
     x[200:] += 0.05 * np.arange(200)[:, None]
-    scaled = judged(x * [1e-6, 1.0, 1e3, 1.0, 1.0] + [3e-4, 0.0, 7.0, 0.0, 1.0], 60)
-    plain = judged(x, 60)
+    scaled = assessment_of(x * [1e-6, 1.0, 1e3, 1.0, 1.0] + [3e-4, 0.0, 7.0, 0.0, 1.0], 60)
+    plain = assessment_of(x, 60)
     assert scaled.distances_squared == pytest.approx(plain.distances_squared)
     assert scaled.chart == pytest.approx(plain.chart, nan_ok=True)
     assert scaled.onsets == plain.onsets
@@ -52,7 +52,7 @@ def test_units_and_mixtures_of_the_features_change_nothing_that_decides():
 def test_units_of_any_size_change_no_digit_but_by_their_rounding(unit):
     x = healthy("independent", 120, np.random.default_rng(24))
     x[100], x[110:] = 1e6, x[110:] + 5.0
-    plain, scaled = judged(x, 60), judged(unit * x, 60)
+    plain, scaled = assessment_of(x, 60), assessment_of(unit * x, 60)
     assert scaled.distances_squared == pytest.approx(plain.distances_squared)
     assert scaled.limits == pytest.approx(plain.limits)
     assert scaled.onsets == plain.onsets
@@ -61,14 +61,14 @@ def test_units_of_any_size_change_no_digit_but_by_their_rounding(unit):
 def test_a_value_too_large_to_be_squared_is_far_off_and_no_alarm():
     x = healthy("independent", 120, np.random.default_rng(25))
     x[80, 2] = 1e300
-    found = judged(x, 60)
+    found = assessment_of(x, 60)
     assert found.first["f_budget"] == 80
     assert np.isfinite(found.chart[60:]).all()
     assert found.onsets == ()
 
 
 @pytest.mark.parametrize(("p", "n"), [(1, 20), (1, 200), (18, 20), (120, 150)])
-def test_one_feature_or_nearly_as_many_as_sets_are_judged(p, n):
+def test_one_feature_and_nearly_as_many_features_as_sets_are_assessed(p, n):
     x = np.random.default_rng(26).standard_normal((n + 30, p))
     found = assess(x, np.arange(n + 30) < n, list(map(str, range(p))))
     assert found.refused is None
@@ -76,24 +76,24 @@ def test_one_feature_or_nearly_as_many_as_sets_are_judged(p, n):
     assert np.isfinite(found.chart[n:]).all()
 
 
-def test_a_shift_is_seen_by_the_chart_and_after_an_alarm_it_begins_from_zero():
+def test_a_shift_raises_an_alarm_and_the_chart_restarts_from_zero():
     x = healthy("independent", 400, np.random.default_rng(2))
     x[300:] += 3.0
-    found = judged(x, 200)
+    found = assessment_of(x, 200)
     first, second = found.onsets[:2]
     assert 300 <= first < 312
     assert found.chart[first] > found.chart_limit > found.chart[first + 1]
-    again = judged(np.concatenate([x[:200], x[first + 1 :]]), 200)
+    again = assessment_of(np.concatenate([x[:200], x[first + 1 :]]), 200)
     # The same sets from zero; only the first owes nothing to the set before it, which is another one here.
     assert second - first == pytest.approx(again.onsets[0] - 199, abs=1)
 
 
 @pytest.mark.parametrize(("name", "n"), [("independent", 24), ("AR .6", 200), ("t5", 60)])
-def test_set_after_set_the_design_says_what_it_says_of_the_whole_sequence(name, n):
+def test_set_by_set_assessment_equals_that_of_the_whole_sequence(name, n):
     x = healthy(name, n + 80, np.random.default_rng(17))
     x[n - 5] = x[[n + 3, n + 4, n + 20]] = np.nan
     x[n + 40 :] += 5.0
-    found = judged(x, n)
+    found = assessment_of(x, n)
     rows = np.flatnonzero(np.isfinite(x[:n]).all(axis=1))
     baseline = fit_baseline(x[rows], rows.tolist(), name="b", feature_names=NAMES)
     design = design_of(x[:n], baseline, Budget().run_length)
@@ -117,10 +117,10 @@ def test_an_alarm_of_the_chart_ends_where_a_healthy_sensor_is_on_average():
     assert not next_alarm(True, 5.0, 40.0, 5)
 
 
-def test_one_rogue_set_alone_never_alarms():
+def test_one_outlier_set_alone_never_raises_an_alarm():
     x = healthy("independent", 300, np.random.default_rng(3))
     x[100] = 1e6
-    found = judged(x, 60)
+    found = assessment_of(x, 60)
     assert found.onsets == ()
     assert found.first["f_predictive"] == 100
 
@@ -129,7 +129,7 @@ def test_a_missing_value_leaves_the_charts_as_they_were():
     x = healthy("independent", 120, np.random.default_rng(4))
     gap = np.insert(x, 80, np.nan, axis=0)
     gap[80, 1:] = 0.0  # one value is enough
-    plain, with_gap = judged(x, 48), judged(gap, 48)
+    plain, with_gap = assessment_of(x, 48), assessment_of(gap, 48)
     assert np.isnan(with_gap.distances_squared[80])
     for name in ("mewma_textbook", "mcusum_textbook"):
         kept = np.delete(getattr(with_gap, name), 80)
@@ -140,15 +140,15 @@ def test_a_missing_value_leaves_the_charts_as_they_were():
     assert with_gap.left_out == ((80, "a value is missing"),)
 
 
-def test_what_cannot_be_judged_is_refused_with_its_reason():
+def test_a_sequence_that_cannot_be_assessed_is_refused_with_its_reason():
     x = healthy("independent", 60, np.random.default_rng(5))
-    assert "14 rows in the baseline; at least 15" in judged(x, 14).refused
+    assert "14 rows in the baseline; at least 15" in assessment_of(x, 14).refused
     x[3, 2] = np.nan
-    assert "14 complete rows" in judged(x, 15).refused
-    assert judged(np.full((60, 2), 3.0), 20).refused == "every feature is constant in the baseline"
+    assert "14 complete rows" in assessment_of(x, 15).refused
+    assert assessment_of(np.full((60, 2), 3.0), 20).refused == "every feature is constant in the baseline"
     x = healthy("independent", 60, np.random.default_rng(6))
     x[:, 4] = x[:, 0] + x[:, 1]
-    assert judged(x, 30).refused.startswith("a, b, e: one is a combination of the others")
+    assert assessment_of(x, 30).refused.startswith("a, b, e: one is a combination of the others")
 
 
 def test_a_constant_feature_is_dropped_and_a_nearly_constant_one_is_not():
@@ -166,7 +166,7 @@ def test_a_feature_that_is_a_straight_line_is_named_as_a_trend():
     assert "trend" in {one.kind for one in found.named}
 
 
-def test_a_baseline_in_the_middle_is_judged_from_its_end_on():
+def test_sets_after_a_baseline_in_the_middle_are_assessed():
     x = healthy("independent", 200, np.random.default_rng(10))
     healthy_rows = (np.arange(200) >= 20) & (np.arange(200) < 80) & (np.arange(200) != 50)
     found = assess(x, healthy_rows, NAMES)
@@ -209,7 +209,7 @@ def test_a_group_is_named_among_many_features_too():
     assert found >= 26  # 94 % are named: 28, and one SD is 1.3
 
 
-def test_few_healthy_baselines_have_something_named():
+def test_few_healthy_baselines_have_anomalies():
     named = sum(
         bool(find_anomalies(healthy("independent", 48, np.random.default_rng([15, k])))) for k in range(150)
     )
@@ -217,7 +217,7 @@ def test_few_healthy_baselines_have_something_named():
 
 
 @pytest.mark.parametrize("n", [48, 400])
-def test_memory_is_taken_to_be_larger_than_found(n):
+def test_autocorrelation_is_raised_by_three_standard_errors(n):
     x = healthy("AR .3", n, np.random.default_rng(16))
     found, taken = directions_of(x), design_chart(x, 1000.0).phi
     assert np.arctanh(taken) - np.arctanh(found.guarded) == pytest.approx(np.full(5, 3.0 * found.error))
@@ -225,13 +225,13 @@ def test_memory_is_taken_to_be_larger_than_found(n):
     assert math.sqrt(1 / 5 / n) <= found.error < math.sqrt((1 + 1 / 5) / n)
 
 
-def test_the_chart_is_the_same_whatever_mixture_of_them_the_features_are():
+def test_the_chart_is_invariant_to_linear_mixtures_of_the_features():
     random = np.random.default_rng(18)
     x = remembering(random.standard_normal((600, 5)), UNEQUAL)
     turn, _ = np.linalg.qr(random.standard_normal((5, 5)))
     mixture = turn * np.geomspace(1.0, 1e-3, 5) @ turn.T + 0.01 * np.tri(5)
     mixed = x @ mixture + np.arange(5.0)
-    plain, other = judged(x, 200), judged(mixed, 200)
+    plain, other = assessment_of(x, 200), assessment_of(mixed, 200)
     # The matrix has a condition of 1,000: it costs six of sixteen digits where it is squared.
     assert other.chart == pytest.approx(plain.chart, rel=1e-6, nan_ok=True)
     assert other.onsets == plain.onsets
@@ -248,11 +248,11 @@ def test_the_chart_is_the_same_whatever_mixture_of_them_the_features_are():
         ("slow drift", 200, "the baseline"),
     ],
 )
-def test_a_rate_is_promised_only_where_the_baseline_can_show_it(name, n, why):
-    told = []
+def test_a_rate_is_verified_only_by_a_long_enough_baseline(name, n, why):
+    reasons = []
     for seed in range(10):
         x = healthy(name, n, np.random.default_rng(seed))
-        told.append(unverified_rate_reason(x))
+        reasons.append(unverified_rate_reason(x))
     # Of ten healthy ones one or two may be doubted (1.5 % each test); of ten that drift most are.
-    matching = sum((why in one) if why else one == "" for one in told)
+    matching = sum((why in one) if why else one == "" for one in reasons)
     assert matching >= (10 if n == 48 else 8)

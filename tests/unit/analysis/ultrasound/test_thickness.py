@@ -144,7 +144,7 @@ def test_pretrigger_is_not_travel_time():
 
 
 @pytest.mark.parametrize("degrees", [120, 150, 180, 210, 240])
-def test_possible_cycle_slip_is_said(degrees):
+def test_a_possible_cycle_slip_is_reported(degrees):
     # A carrier turned that far under the same envelope puts two maxima about equally far from its peak.
     found = travel_time(record(5e-3, phase_rad=math.radians(degrees)), reference())
     assert found.quality == "suspect"

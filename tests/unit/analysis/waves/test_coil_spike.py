@@ -26,13 +26,13 @@ def spike(edge_s, height_v, decay_s, ringing_hz=0.0):
 
 
 def survey(volts, *, noise_v=NOISE_V, offset_v=0.03, **changes):
-    told = {
+    values = {
         "pulse_s": PULSE_S, "fall_s": FALL_S, "pretrigger_s": PRETRIGGER_S, "trigger_level_v": LEVEL_V,
     } | changes  # fmt: skip
     return survey_spike(
         waveform_of(volts + offset_v + noise(T.size, 1, noise_v), RATE_HZ, 0),
         waveform_of(offset_v + noise(10_000, 2, noise_v), RATE_HZ, 0),
-        **told,
+        **values,
     )
 
 
@@ -54,16 +54,16 @@ def test_a_quiet_coil_has_no_spike_and_its_holdoff_is_a_third_of_the_fall():
 def test_height_duration_and_ringing_of_a_spike_are_those_put_in(edge, decay_s, height_v):
     at = {"on": 0.0, "off": PULSE_S}[edge]
     found = survey(WAVE + spike(at, height_v, decay_s))
-    told, other = (found.on, found.off) if edge == "on" else (found.off, found.on)
-    assert told.height_v == pytest.approx(height_v, abs=5 * NOISE_V)
+    measured, other = (found.on, found.off) if edge == "on" else (found.off, found.on)
+    assert measured.height_v == pytest.approx(height_v, abs=5 * NOISE_V)
     # Noise on a slow decay makes the last crossing late: by what five SD of it are worth in time.
     slack_s = 2.0 / RATE_HZ + decay_s * 5 * NOISE_V / (0.5 * abs(height_v))
-    assert told.duration_s == pytest.approx(decay_s * np.log(2.0), abs=slack_s)
-    assert told.triggers is (height_v > 0.0)
+    assert measured.duration_s == pytest.approx(decay_s * np.log(2.0), abs=slack_s)
+    assert measured.triggers is (height_v > 0.0)
     least_s, most_s = (
         decay_s * np.log(abs(height_v) / (found.limit_v + way * 5.5 * NOISE_V)) for way in (1.0, -1.0)
     )
-    assert least_s - 2.0 / RATE_HZ <= told.ringing_s <= most_s + 2.0 / RATE_HZ
+    assert least_s - 2.0 / RATE_HZ <= measured.ringing_s <= most_s + 2.0 / RATE_HZ
     if edge == "off" or decay_s < 1e-3:
         assert other.height_v == 0.0
     room_s = found.latest_holdoff_s - found.off.ringing_s
@@ -78,13 +78,13 @@ def test_flyback_is_the_departure_to_the_other_side():
     assert found.on.flyback_v == 0.0
 
 
-def test_a_small_spike_is_told_and_rings_no_time():
+def test_a_small_spike_is_reported_and_has_no_ringing_time():
     found = survey(WAVE + spike(PULSE_S, 0.06, 2e-6), noise_v=2e-3)
     assert found.off.height_v == pytest.approx(0.06, abs=0.01)
     assert (found.off.ringing_s, found.takes_the_trigger) == (0.0, False)
 
 
-def test_ringing_that_leaves_no_room_is_told_and_no_holdoff_is_made_up():
+def test_ringing_without_room_for_a_holdoff_is_reported_and_none_is_proposed():
     found = survey(WAVE + spike(PULSE_S, 5.0, 9e-3))
     assert (found.obstacle, found.holdoff_s) == ("ringing", None)
     assert found.off.ringing_s > found.latest_holdoff_s - SMALLEST_ROOM * FALL_S
@@ -98,7 +98,7 @@ def test_without_a_wave_nothing_is_proposed():
     assert found.off.height_v == pytest.approx(1.0, abs=5 * NOISE_V), "the spike is told all the same"
 
 
-def test_noise_that_passes_the_level_by_itself_is_no_spike_s_matter():
+def test_noise_above_the_level_is_not_reported_as_a_spike():
     assert survey(WAVE, noise_v=0.05).obstacle == "noise"
 
 
@@ -125,7 +125,7 @@ def test_a_level_far_below_the_wave_is_raised_to_a_tenth_of_it():
     assert found.trigger_level_v == pytest.approx(0.1 * 3.5 * WAVE_V, rel=0.02)
 
 
-def test_a_falling_slope_sees_the_same_upside_down():
+def test_a_falling_slope_triggers_on_the_inverted_signal():
     volts = WAVE + spike(PULSE_S, 1.0, 50e-6)
     up = survey(volts, offset_v=0.0)
     down = survey(-volts, offset_v=0.0, trigger_level_v=-LEVEL_V, rising=False)

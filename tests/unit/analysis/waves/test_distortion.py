@@ -1,4 +1,4 @@
-"""Tops made lower and samples closed up, beside the other shots of a set."""
+"""Lowered tops and lost samples, compared with the other shots of a set."""
 
 import numpy as np
 import pytest
@@ -24,7 +24,7 @@ def clean(n, first=0, **changes):
     return [extracted(SCENE.with_(**changes).volts(first + seed)) for seed in range(n)]
 
 
-def judged(shots):
+def flags_of(shots):
     return [shot.flags for shot in compare_with_others(shots, learn_template(shots))]
 
 
@@ -33,20 +33,20 @@ def hard(volts, part):
 
 
 def soft(volts, scale):
-    """Limit as tanh does; 2.5: the top falls to .95, 1.7: to .9."""
+    """Limit like tanh; 2.5: the top falls to .95, 1.7: to .9."""
     return scale * SCENE.isw_v * np.tanh(volts / (scale * SCENE.isw_v))
 
 
 def limited(how, amount, seed=99):
-    """The noise comes after the limit, so that no two samples are alike at the top."""
+    """Add noise after the limit, so that no two samples at the top are equal."""
     return extracted(how(SCENE.with_(noise_fraction=0.0).volts(), amount) + noise(seed))
 
 
 @pytest.mark.parametrize(("how", "amount"), [(hard, 0.95), (soft, 1.7)])
-def test_a_top_lower_than_its_flanks_say_is_clipped(how, amount):
+def test_a_top_lower_than_extrapolated_from_its_flanks_is_clipped(how, amount):
     odd = limited(how, amount)
     assert odd.flags == (), "by itself"
-    assert judged([*clean(9), odd]) == [()] * 9 + [("clipped",)]
+    assert flags_of([*clean(9), odd]) == [()] * 9 + [("clipped",)]
 
 
 def test_a_strike_of_another_height_arrival_or_width_is_not_clipped():
@@ -55,26 +55,26 @@ def test_a_strike_of_another_height_arrival_or_width_is_not_clipped():
         *clean(1, 21, isw_time_s=57e-6),
         *clean(1, 22, width_s=184e-6),
     ]
-    assert judged([*clean(8), *others]) == [()] * 11
+    assert flags_of([*clean(8), *others]) == [()] * 11
 
 
-def test_what_scatters_in_all_shots_is_no_soft_limit():
-    """Contacts seated anew let the reflected wave's height scatter by 4 %, as tanh to .95 moves it once."""
+def test_scatter_in_all_shots_is_not_a_soft_limit():
+    """Re-seated contacts let the reflected wave's height scatter by 4 %, as tanh to .95 moves it once."""
     ratios = 0.5 * (1.0 + 0.04 * np.array([-1.6, -1.0, -0.7, -0.4, -0.1, 0.1, 0.4, 0.7, 1.0, 1.6]))
-    assert judged([clean(1, k, amplitude_ratio=ratio)[0] for k, ratio in enumerate(ratios)]) == [()] * 10
+    assert flags_of([clean(1, k, amplitude_ratio=ratio)[0] for k, ratio in enumerate(ratios)]) == [()] * 10
 
 
-def test_of_many_walls_only_the_incident_wave_tells_a_limit():
+def test_only_the_incident_wave_shows_a_limit_among_many_walls():
     tofs_s = np.linspace(330e-6, 420e-6, 10)
     walls = [clean(1, k, tof_s=tof_s, amplitude_ratio=0.4 + 0.02 * k)[0] for k, tof_s in enumerate(tofs_s)]
-    assert judged([*walls, limited(hard, 0.95)]) == [()] * 10 + [("clipped",)]
+    assert flags_of([*walls, limited(hard, 0.95)]) == [()] * 10 + [("clipped",)]
     two = [*clean(14), *clean(6, 20, tof_s=420e-6, amplitude_ratio=0.6)]
-    assert judged(two) == [()] * 20
+    assert flags_of(two) == [()] * 20
 
 
 def test_noise_bends_no_top():
-    """At 20 dB a limit at .95 is 3.4 standard deviations of a point's noise: only 3 and more are told."""
-    assert judged(clean(40, 40, noise_fraction=0.1)) == [()] * 40
+    """At 20 dB a limit at .95 is 3.4 standard deviations of a point's noise: only 3 and more are detected."""
+    assert flags_of(clean(40, 40, noise_fraction=0.1)) == [()] * 40
 
 
 def closed_up(after_psw_s, seed=99):
@@ -88,20 +88,20 @@ def closed_up(after_psw_s, seed=99):
 @pytest.mark.parametrize("after_psw_s", [45e-6, 60e-6, 75e-6, 90e-6])
 def test_samples_lost_behind_the_reflected_wave_show_by_what_follows(after_psw_s):
     odd = closed_up(after_psw_s)
-    assert judged([*clean(9), odd]) == [()] * 9 + [("disturbed",)]
+    assert flags_of([*clean(9), odd]) == [()] * 9 + [("disturbed",)]
 
 
 def test_noise_is_no_cut():
     """At 16 dB the noise behind the reflected wave is as large as what a cut leaves there."""
-    assert not any("disturbed" in flags for flags in judged(clean(40, 40, noise_fraction=0.15)))
+    assert not any("disturbed" in flags for flags in flags_of(clean(40, 40, noise_fraction=0.15)))
 
 
-def test_what_follows_the_reflected_wave_may_scatter():
+def test_waves_after_the_reflected_wave_may_scatter():
     delays_s = 170e-6 + 1e-6 * np.array([-9, -7, -5, -3, -1, 1, 3, 5, 7, 9])
-    assert judged([clean(1, k, ssw_delay_s=delay_s)[0] for k, delay_s in enumerate(delays_s)]) == [()] * 10
+    assert flags_of([clean(1, k, ssw_delay_s=delay_s)[0] for k, delay_s in enumerate(delays_s)]) == [()] * 10
 
 
-def test_what_follows_the_reflected_wave_may_scatter_widely():
+def test_waves_after_the_reflected_wave_may_scatter_widely():
     """Height by half and arrival by 20 us: no shot of such a set is odd because it looks like a cut."""
     parts = np.array([-1.6, -1.0, -0.7, -0.4, -0.1, 0.1, 0.4, 0.7, 1.0, 1.6])
     random = np.random.default_rng(0)
@@ -111,19 +111,19 @@ def test_what_follows_the_reflected_wave_may_scatter_widely():
         clean(1, k, ssw_fraction=height, ssw_delay_s=delay_s)[0]
         for k, (height, delay_s) in enumerate(zip(heights, delays_s, strict=True))
     ]
-    assert judged(shots) == [()] * 10
+    assert flags_of(shots) == [()] * 10
 
 
 # A lower wave, and one that comes 20 us earlier: a cut of 40 us explains a part of it.
 @pytest.mark.parametrize("change", [{"ssw_fraction": 0.04}, {"ssw_delay_s": 150e-6}])
-def test_another_wave_behind_the_reflected_one_is_no_cut(change):
-    assert judged([*clean(9), *clean(1, 30, **change)]) == [()] * 10
+def test_another_wave_after_the_reflected_one_is_not_a_cut(change):
+    assert flags_of([*clean(9), *clean(1, 30, **change)]) == [()] * 10
 
 
 @pytest.mark.parametrize("odd", [limited(hard, 0.95), closed_up(60e-6)], ids=["limited", "closed up"])
 def test_too_few_shots_have_no_middle(odd):
-    assert judged([*clean(FEWEST - 2), odd])[-1] == ()
-    assert judged([*clean(FEWEST - 1), odd])[-1] != ()
+    assert flags_of([*clean(FEWEST - 2), odd])[-1] == ()
+    assert flags_of([*clean(FEWEST - 1), odd])[-1] != ()
 
 
 def bridged(after_isw_s, how):

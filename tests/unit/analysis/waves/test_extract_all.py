@@ -1,4 +1,4 @@
-"""A shot has its features to the last bit, whatever shots it is extracted with."""
+"""The features of a shot are the same to the last bit with any other shots."""
 
 import numpy as np
 import pytest

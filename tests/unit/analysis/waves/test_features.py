@@ -173,7 +173,7 @@ def second_strike(scene, delay_s, fraction):
 
 
 def knock(scene, frequency_hz, fraction):
-    """Something hits the frame 150 us after the ISW's peak, and it rings for .3 ms."""
+    """Add a knock on the frame 150 us after the ISW peak that rings for .3 ms."""
     since = scene.time_s() - scene.isw_time_s - 150e-6
     ringing = np.exp(-since.clip(0.0) / 0.3e-3) * np.sin(2.0 * np.pi * frequency_hz * since.clip(0.0))
     return fraction * scene.isw_v * ringing
@@ -188,7 +188,7 @@ def coil_spike(t, height_v, decay_s, ringing_hz=0.0):
 
 
 def flagged(name, scene=NOISY):
-    """Record that deserves one flag."""
+    """Return a record that deserves one flag."""
     t = scene.time_s()
     volts = scene.volts(3)
     if name == "missed":
@@ -232,7 +232,7 @@ def test_valid_faults_are_the_three_that_leave_the_vector_usable():
     assert set(FLAGS) - INVALIDATING_FLAGS == {"psw_merged", "baseline", "noisy"}
 
 
-def test_nothing_is_made_up_where_no_wave_came_back():
+def test_features_of_a_missing_reflected_wave_are_not_available():
     shot = extract_features(flagged("no_psw"))
     missing = {name for name, value in shot.values().items() if math.isnan(value)}
     assert missing == set(ALL_FEATURE_NAMES) - {
@@ -259,10 +259,8 @@ def test_an_electrical_spike_is_not_a_strike():
 @pytest.mark.parametrize("ringing_hz", [0.0, 5e3, 50e3])
 @pytest.mark.parametrize("decay_s", [1e-6, 10e-6, 70e-6, 0.2e-3, 5e-3])
 @pytest.mark.parametrize("height_v", [0.3, -3.0, 4.9])
-def test_a_record_that_a_coil_s_spike_started_is_a_false_trigger_and_tells_of_no_wall(
-    height_v, decay_s, ringing_hz
-):
-    """Whatever it looks like to the filters: too narrow, a wave without a reflection, a plateau."""
+def test_a_record_triggered_by_a_coil_spike_is_a_false_trigger_and_not_a_wall(height_v, decay_s, ringing_hz):
+    """Any form it has after the filters: too narrow, a wave without a reflection, a plateau."""
     t = NOISY.time_s()
     noise = 0.025 * np.random.default_rng(2).standard_normal(t.size)
     shot = extract_features(waveform_of(coil_spike(t, height_v, decay_s, ringing_hz) + noise))
@@ -329,7 +327,7 @@ def test_a_short_record_needs_no_early_wave(isw_time_s):
     assert shot.flags == ()
     assert shot.tof_mf_s == pytest.approx(scene.tof_s, abs=1e-6)  # 3 % of noise: .12 us
     lost = features_of(scene.with_(amplitude_ratio=0.0))
-    # What a sound wall's wave needs, 510 us, is no longer there for the last one: nobody can tell.
+    # What a sound wall's wave needs, 510 us, is no longer there for the last one.
     assert lost.flags == (("no_psw",) if isw_time_s < 390e-6 else ("missed",))
 
 
@@ -534,7 +532,7 @@ def test_waves_that_overlap_at_the_end_are_no_drift():
     assert "baseline" in seen.flags
 
 
-def test_a_record_that_ends_on_its_reflected_wave_has_no_end_to_judge():
+def test_a_record_that_ends_on_its_reflected_wave_has_no_end_to_assess():
     scene = NOISY.with_(n_samples=6_400, tof_s=400e-6, ssw_fraction=0.0)
     assert features_of(scene).flags == ()
 

@@ -15,7 +15,7 @@ def test_it_is_the_length_that_scipy_takes(real: bool, factors: tuple[int, ...])
     assert [fast_length(n, factors) for n in LENGTHS] == [next_fast_len(n, real=real) for n in LENGTHS]
 
 
-def test_a_recorder_starts_without_what_only_a_limit_needs():
+def test_a_recorder_starts_without_scipy_fft_and_special():
     asked = "import sys, daq_service.recording.session; print(sys.modules.keys())"
     loaded = subprocess.run([sys.executable, "-c", asked], capture_output=True, text=True, check=True).stdout
     assert "scipy.fft" not in loaded

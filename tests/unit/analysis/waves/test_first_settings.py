@@ -16,7 +16,7 @@ RANGES_V = (1.0, 2.0, 5.0, 10.0)
 
 
 def struck(wave_v=2.5, *, noise_v=0.01, offset_v=0.0, off_v=0.0, decay_s=0.2e-3, seed=0):
-    """Waves of a transducer, after what its coil couples in when it goes off."""
+    """Return waves of a transducer, after the crosstalk of its coil."""
     random = np.random.default_rng(seed)
     volts = wave_v * (cos4(T, WAVE_S) + 0.5 * cos4(T, WAVE_S + 0.33e-3))
     volts += (T >= PULSE_S) * off_v * np.exp(-np.maximum(T - PULSE_S, 0.0) / decay_s)
@@ -58,7 +58,7 @@ def test_the_level_stands_on_the_inputs_offset():
     assert proposed(B=struck(offset_v=-0.1)).trigger_level_v == pytest.approx(0.15, abs=0.01)
 
 
-def test_a_falling_wave_triggers_on_its_way_down_and_its_leads_are_told():
+def test_a_falling_wave_triggers_downwards_and_reversed_leads_are_reported():
     found = proposed(B=struck(-2.5))
     assert found.troubles == {"B": "inverted"}, "its shots would be flagged so"
     assert not found.rising
@@ -66,7 +66,7 @@ def test_a_falling_wave_triggers_on_its_way_down_and_its_leads_are_told():
     assert found.surveys["B"].wave_v == pytest.approx(-2.5, abs=0.1)
 
 
-def test_leads_of_one_transducer_the_other_way_round_are_told():
+def test_reversed_leads_of_one_transducer_are_reported():
     found = proposed(B=struck(), C=struck(-4.0), D=struck())
     assert (found.rising, found.troubles) == (True, {"C": "inverted"})
 

@@ -38,7 +38,7 @@ def shots(rate_hz, ends_hz, n):
     # means is found by few coefficients of each record, in some not at all.
     [(20e6, 5e6, 0.2), (20e6, 2e6, 0.2), (10e6, 100e3, 0.3)],
 )
-def test_noise_that_ends_in_band_is_told_by_its_slow_part(rate_hz, ends_hz, within):
+def test_noise_that_ends_in_band_is_estimated_from_its_slow_part(rate_hz, ends_hz, within):
     found = shots(rate_hz, ends_hz, 150)
     for name in MOST_LISTED:
         scatter = np.std([getattr(shot, name) for shot in found], ddof=1)
@@ -55,7 +55,7 @@ def colour(volts, scene, isw_time_s):
     return noise_colour(record, isw_time_s, settings.isw_fwhm_s), record
 
 
-def test_white_noise_has_no_memory():
+def test_white_noise_has_no_autocorrelation():
     scene = SCENE.with_(noise_fraction=NOISE)
     found = [colour(scene.volts(seed), scene, scene.isw_time_s)[0] for seed in range(40)]
     white2 = (NOISE * scene.isw_v) ** 2
@@ -66,7 +66,7 @@ def test_white_noise_has_no_memory():
 
 
 @pytest.mark.parametrize("isw_time_s", [float("nan"), SCENE.isw_time_s - 65e-6])
-def test_a_record_without_quiet_before_its_wave_is_told_from_all_of_it(isw_time_s):
+def test_noise_colour_uses_the_whole_record_when_the_pretrigger_is_not_quiet(isw_time_s):
     """As one with a short pre-trigger: nothing of the wave's flank counts as noise."""
     scene = SCENE.with_(noise_fraction=NOISE)
     found, record = colour(scene.volts(1), scene, isw_time_s)
@@ -77,7 +77,7 @@ def test_a_record_without_quiet_before_its_wave_is_told_from_all_of_it(isw_time_
 
 
 def test_the_foot_of_a_wave_is_no_noise():
-    """A sech^2 pulse stands at 5 % of its height where the quiet stretch ends: five times this noise."""
+    """A sech^2 pulse is at 5 % of its height where the quiet stretch ends: five times this noise."""
     scene = SCENE.with_(noise_fraction=0.0)
     time_s = scene.time_s()
     wave = 1.0 / np.cosh(np.clip(1.7627 * (time_s - scene.isw_time_s) / 64.7e-6, -50.0, 50.0)) ** 2

@@ -1,4 +1,4 @@
-"""A shot beside its transducer's own waves."""
+"""A shot compared with the waves of its transducer."""
 
 import math
 from dataclasses import replace
@@ -54,13 +54,13 @@ def test_the_transducer_s_own_shot_stays_as_it_was():
         ({"pull_fraction": 0.06}, ("disturbed",)),
     ],
 )
-def test_what_is_not_its_own_is_told(changes, flags):
+def test_a_wave_unlike_the_template_is_flagged(changes, flags):
     found = compare_with_template(replace(SHOT, **changes), OWN)
     assert found.flags == flags
     assert found.valid is not bool(flags)
 
 
-def test_a_weak_strike_keeps_its_own_wave_and_tells_of_no_wall():
+def test_a_weak_strike_keeps_its_incident_wave_and_has_no_wall_features():
     found = compare_with_template(replace(SHOT, isw_amplitude_v=0.4), OWN)
     assert (found.isw_amplitude_v, found.isw_time_s, found.noise_rms_v) == (0.4, 5e-5, 0.02)
     assert math.isnan(found.tof_mf_s)
@@ -78,7 +78,7 @@ def test_only_its_own_wave_without_a_reflection_is_a_sign_of_a_hole(fwhm_s, flag
     ("arrives_s", "scatter_s", "flag"),
     [(70e-6, 2e-6, "no_psw"), (90e-6, 2e-6, "missed"), (10e-6, 2e-6, "missed"), (90e-6, 8e-6, "no_psw")],
 )
-def test_a_pulse_like_its_own_that_did_not_fire_the_trigger_is_no_sign_of_a_hole(arrives_s, scatter_s, flag):
+def test_a_similar_pulse_that_did_not_trigger_indicates_no_hole(arrives_s, scatter_s, flag):
     silent = replace(SHOT, isw_time_s=arrives_s, flags=("no_psw",), valid=False, quality="bad")
     own = replace(OWN, isw_time_s=5e-5, isw_time_sd_s=scatter_s)
     assert compare_with_template(silent, own).flags == (flag,)
@@ -104,13 +104,13 @@ def test_it_is_learnt_from_valid_shots_if_there_are_three():
     assert own.earliest_tof_s == pytest.approx(0.9 * 335e-6)
 
 
-def test_weak_strikes_are_told_where_every_second_one_is_weak():
+def test_weak_strikes_are_flagged_where_every_second_one_is_weak():
     shots = [SHOT, replace(SHOT, isw_amplitude_v=0.4)] * 5
     own = learn_template(shots)
     assert [compare_with_template(shot, own).flags for shot in shots] == [(), ("missed",)] * 5
 
 
-def test_a_pull_counts_beyond_what_the_shot_s_own_noise_gives():
+def test_a_pull_counts_only_above_the_noise_of_the_shot():
     pulled = replace(SHOT, pull_fraction=0.08)
     for sd, flags in ((0.01, ("disturbed",)), (0.03, ())):
         assert (

@@ -4,7 +4,7 @@ import os
 from dataclasses import replace
 
 import pytest
-from support.new_experiment import new_catalogue, tell
+from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import SetCommit, history
 from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
@@ -33,7 +33,7 @@ def set_row(position, **columns):
 
 
 def test_the_history_holds_experiment_events_command_states_and_files(catalogue, follower, tmp_path):
-    tell(catalogue, "one", "two")
+    add_events(catalogue, "one", "two")
     order = catalogue.add_command("Ada", "hold", {})
     follower.follow()
     catalogue.start_command(order)
@@ -114,9 +114,9 @@ def test_a_folder_without_a_history_is_followed_in_blocks(catalogue, tmp_path, m
 
 
 def test_a_new_follower_appends_missing_lines_once(catalogue, follower, tmp_path):
-    tell(catalogue, "one")
+    add_events(catalogue, "one")
     follower.follow()
-    tell(catalogue, "two")
+    add_events(catalogue, "two")
     for _ in range(2):
         HistoryFollower(tmp_path, catalogue).begin()
     history = read_history(tmp_path)
@@ -128,7 +128,7 @@ def test_the_history_is_written_at_most_once_per_second(catalogue, tmp_path):
     now = [0.0]
     follower = HistoryFollower(tmp_path, catalogue, mono_s=lambda: now[0])
     follower.begin()
-    tell(catalogue, "one")
+    add_events(catalogue, "one")
     now[0] = 0.9
     follower.follow()
     assert not read_history(tmp_path).events
@@ -138,7 +138,7 @@ def test_the_history_is_written_at_most_once_per_second(catalogue, tmp_path):
 
 
 def test_a_torn_last_line_is_removed_and_no_corruption(catalogue, follower, tmp_path):
-    tell(catalogue, "one", "two")
+    add_events(catalogue, "one", "two")
     follower.follow()
     path = tmp_path / HISTORY_FILE
     path.write_bytes(path.read_bytes()[:-9])
@@ -162,7 +162,7 @@ def test_a_torn_last_line_is_removed_and_no_corruption(catalogue, follower, tmp_
 def test_a_corrupt_or_missing_line_is_reported_and_the_others_are_read(
     catalogue, follower, tmp_path, damaged, lacking
 ):
-    tell(catalogue, "one", "two", "three")
+    add_events(catalogue, "one", "two", "three")
     follower.follow()
     path = tmp_path / HISTORY_FILE
     path.write_bytes(b"".join(damaged(path.read_bytes().splitlines(keepends=True))))
@@ -172,7 +172,7 @@ def test_a_corrupt_or_missing_line_is_reported_and_the_others_are_read(
 
 
 def test_a_write_error_only_delays_the_history(catalogue, follower, tmp_path, monkeypatch, caplog):
-    tell(catalogue, "one")
+    add_events(catalogue, "one")
     written = os.write
 
     def half(descriptor, content):
@@ -183,7 +183,7 @@ def test_a_write_error_only_delays_the_history(catalogue, follower, tmp_path, mo
     for _ in range(2):
         follower.follow()
     monkeypatch.undo()
-    tell(catalogue, "two")
+    add_events(catalogue, "two")
     follower.follow()
     history = read_history(tmp_path)
     assert ([event.kind for event in history.events.values()], history.damage) == (["one", "two"], [])
@@ -191,7 +191,7 @@ def test_a_write_error_only_delays_the_history(catalogue, follower, tmp_path, mo
 
 
 def test_a_history_with_more_events_reveals_a_catalogue_that_lost_rows(catalogue, follower, tmp_path):
-    tell(catalogue, "one")
+    add_events(catalogue, "one")
     follower.follow()
     with (tmp_path / HISTORY_FILE).open("ab") as file:
         event = {"id": 2, "utc_ns": 0, "topic": "service", "kind": "two", "payload": {}}
@@ -211,10 +211,10 @@ def test_a_history_of_another_experiment_is_refused_with_both(catalogue, followe
 
 
 def test_the_end_of_a_long_history_is_sufficient(catalogue, follower, tmp_path, monkeypatch):
-    tell(catalogue, *("told" for _ in range(50)))
+    add_events(catalogue, *("told" for _ in range(50)))
     follower.follow()
     monkeypatch.setattr("daq_service.catalogue.history.TAIL_BYTES", 1000)
-    tell(catalogue, "new")
+    add_events(catalogue, "new")
     HistoryFollower(tmp_path, catalogue).begin()
     history = read_history(tmp_path)
     assert (len(history.events), history.last_number, history.damage) == (51, 52, [])

@@ -326,7 +326,7 @@ def test_an_empty_folder_has_no_data_yet(tmp_path: Path) -> None:
 
 def test_a_position_that_collects_its_baseline_has_no_limit_yet(tmp_path: Path) -> None:
     filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False, judged=False)
+    filled.add_set(0, stored=False, assessed=False)
     row = line_of(status_of(filled), " D")
     assert row.startswith(" D  learning  ToF ")
     assert "  none yet  -  good, n = 1  " in row

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.new_experiment import new_catalogue, tell
+from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import NoDataYetError
@@ -31,7 +31,7 @@ class RecorderDouble:
         self.folder, self.catalogue = folder, catalogue
         self.answer = ("done", "")
         self.seen: list[tuple[str, str, dict[str, Any]]] = []
-        tell(catalogue, "recorder_started")
+        add_events(catalogue, "recorder_started")
         beat(folder)
 
     def look(self, seconds: float) -> None:
@@ -155,7 +155,7 @@ def power_cut(recorder: RecorderDouble) -> None:
 
 
 def stopped(recorder: RecorderDouble) -> None:
-    tell(recorder.catalogue, "recorder_stopped")
+    add_events(recorder.catalogue, "recorder_stopped")
     beat(recorder.folder, "ended")
 
 
@@ -178,7 +178,7 @@ def test_without_a_recorder_no_command_is_stored(
 
 @pytest.mark.parametrize("kind", ["schedule_done", "recorder_stopped"])
 def test_a_recorder_that_opens_its_rig_gets_no_command(recorder: RecorderDouble, kind: str) -> None:
-    tell(recorder.catalogue, kind)
+    add_events(recorder.catalogue, kind)
     beat(recorder.folder, "opening")
     with pytest.raises(BusyError, match=r"the recorder of .* is waiting: nothing strikes, .*its rig is open"):
         recorder.send("hold", note="why")
@@ -191,7 +191,7 @@ def test_a_recorder_that_opens_its_rig_gets_no_command(recorder: RecorderDouble,
 def test_a_finished_or_restarted_recorder_accepts_commands(
     recorder: RecorderDouble, kinds: list[str], stage: Stage
 ) -> None:
-    tell(recorder.catalogue, *kinds)
+    add_events(recorder.catalogue, *kinds)
     beat(recorder.folder, stage)
     assert recorder.send("hold", note="why") == 0
     assert len(recorder.seen) == 1

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 import pytest
-from support.new_experiment import new_catalogue, tell
+from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import SetRow
@@ -140,7 +140,7 @@ def test_the_age_of_a_beat_is_known_only_within_its_boot() -> None:
 @pytest.fixture
 def folder(tmp_path: Path) -> Iterator[Path]:
     with new_catalogue(tmp_path) as catalogue:
-        tell(catalogue, "recorder_started")
+        add_events(catalogue, "recorder_started")
         stored_set(catalogue)
         yield tmp_path
 

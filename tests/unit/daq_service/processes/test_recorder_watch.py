@@ -7,7 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
-from support.new_experiment import new_catalogue, tell
+from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
@@ -147,7 +147,7 @@ def pause(bench: Bench) -> None:
 
 
 def finish(bench: Bench) -> None:
-    tell(bench.catalogue, "schedule_done")
+    add_events(bench.catalogue, "schedule_done")
     bench.status = "finished"
 
 

@@ -31,7 +31,7 @@ def test_stored_sets_use_no_memory(tmp_path):
 
     def script(key):
         if key.position == "D" and key.set_index in (BEGIN, FIRST, LAST) and key.set_index not in traced:
-            line.instruments[0].calls, line.heartbeat.told = deque(maxlen=1), deque(maxlen=1)
+            line.instruments[0].calls, line.heartbeat.activities = deque(maxlen=1), deque(maxlen=1)
             gc.collect()
             if key.set_index == BEGIN:  # long-lived objects are allocated before `FIRST`
                 tracemalloc.start()

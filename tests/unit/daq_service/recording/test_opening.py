@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.new_experiment import new_catalogue, tell
+from support.new_experiment import add_events, new_catalogue
 
 from daq_service.alarms.states import Moment
 from daq_service.catalogue import RecorderCatalogue, SetCommit
@@ -67,7 +67,7 @@ class Opener:
 @pytest.fixture
 def opener(tmp_path: Path) -> Iterator[Opener]:
     with new_catalogue(tmp_path) as catalogue, own_data_folder(tmp_path):
-        tell(catalogue, "recorder_started", "recorder_stopped")
+        add_events(catalogue, "recorder_started", "recorder_stopped")
         yield Opener(tmp_path, catalogue)
 
 
@@ -130,13 +130,13 @@ def test_missed_sets_have_the_known_cause(
     tmp_path: Path, kinds: list[str], found: Beat | None, cause: str
 ) -> None:
     with new_catalogue(tmp_path) as catalogue:
-        tell(catalogue, *kinds)
+        add_events(catalogue, *kinds)
         assert cause in _why_not_running(catalogue, found, "")
         assert _why_not_running(catalogue, found, "was killed") == "the recorder was killed"
 
 
 def test_a_stop_while_waiting_for_the_rig_is_an_orderly_end(opener: Opener) -> None:
-    tell(opener.catalogue, "recorder_started")
+    add_events(opener.catalogue, "recorder_started")
     _store_stop(
         opener.catalogue,
         HistoryFollower(opener.folder, opener.catalogue),

@@ -133,16 +133,16 @@ def test_the_recorder_waits_for_a_full_disk_and_raises_an_alarm(line, undisturbe
     (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
     assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
     assert str(error) in alarm.message
-    assert any(f"1 jobs wait in memory for the disk: {error}" in doing for doing in line.heartbeat.told)
-    assert line.heartbeat.told[-2].endswith(f"set {SETS - 1}"), "and no longer once it is over"
-    assert line.heartbeat.told[-1] == "leaving"
+    assert any(f"1 jobs wait in memory for the disk: {error}" in doing for doing in line.heartbeat.activities)
+    assert line.heartbeat.activities[-2].endswith(f"set {SETS - 1}"), "and no longer once it is over"
+    assert line.heartbeat.activities[-1] == "leaving"
 
 
 def test_in_real_time_sets_are_struck_on_and_stored_later(line, undisturbed):
     line.settings = memory_settings(clock={"kind": "wall"})
     disk = FullDisk(line, 3, 4)
     assert line.run(archive=disk, mono_s=Seconds(0.4))
-    waited = [doing for doing in line.heartbeat.told if "wait in memory" in doing]
+    waited = [doing for doing in line.heartbeat.activities if "wait in memory" in doing]
     assert any(doing.startswith("taking set 5;") for doing in waited), "struck while set 3 was waiting"
     assert line.instruments[0].struck == undisturbed.instruments[0].struck
     for table in ("sets", "features", "verdicts"):
@@ -303,7 +303,7 @@ def test_below_five_percent_free_no_data_are_stored(line, undisturbed):
     assert [row.payload["level"] for row in events_of(line, "disk_space")] == ["stop", "ample"]
     assert any(
         "below 5% (storage.stop_free_fraction) nothing more is stored" in doing
-        for doing in line.heartbeat.told
+        for doing in line.heartbeat.activities
     )
 
 

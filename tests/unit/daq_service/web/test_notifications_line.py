@@ -103,7 +103,7 @@ def test_an_alarm_that_returns_to_normal_within_its_delay_is_not_sent(make_bench
     assert bench.run(50.0) == []
     bench.alarms.change(present=False)
     assert bench.run(300.0) == []
-    (line,) = bench.told("held_back")
+    (line,) = bench.log_lines("held_back")
     assert line.event_ids == [1, 2]
     bench.alarms.change()  # it is active again, and stays
     assert bench.run(59.0) == []
@@ -281,8 +281,8 @@ def test_a_dead_receiver_is_tried_again_with_growing_pauses_and_loses_nothing(ma
         bench.mono_s += pause_s
     assert times_s == [0.0, 2.0, 6.0, 14.0, 30.0, 62.0]
     assert len({message.key for message in bench.sent}) == 1
-    assert [line.event_ids for line in bench.told("sent")] == [[first]]
-    assert [line.told for line in bench.told("failing")] == ["no answer within 15 s"]
+    assert [line.event_ids for line in bench.log_lines("sent")] == [[first]]
+    assert [line.told for line in bench.log_lines("failing")] == ["no answer within 15 s"]
     assert [record.levelno for record in caplog.records].count(logging.WARNING) == 1
 
 
@@ -303,7 +303,7 @@ def test_a_message_that_is_refused_makes_way_for_the_others(make_bench):
     bench.alarms.change("hole")
     bench.run(100.0)
     assert [changes(message)[0][0] for message in bench.sent] == ["wall_change"] * 5 + ["hole"]
-    (line,) = bench.told("gave_up")
+    (line,) = bench.log_lines("gave_up")
     assert line.told == "refused 5 times: the receiver answers 422"
 
 
@@ -312,7 +312,7 @@ def test_a_message_that_is_undelivered_for_a_day_is_given_up_and_logged(make_ben
     bench.outcomes += [DEAD] * 400
     bench.alarms.change()
     bench.run(24 * 3600.0 + 600.0, at_least_s=300.0)
-    (line,) = bench.told("gave_up")
+    (line,) = bench.log_lines("gave_up")
     assert line.told == "not delivered within 24 h: no answer within 15 s"
     assert is_dead(bench.line.state, bench.now_ns())
     bench.outcomes.clear()
@@ -358,7 +358,11 @@ def test_a_heartbeat_message_has_recorder_state_and_age_and_stops_with_the_recor
     facts["recorder"] = "silent"
     assert bench.run(300.0) == []
     assert bench.line.state.heartbeat == "withheld"
-    assert [line.told.partition(":")[0] for line in bench.told("heartbeat")] == ["withheld", "ok", "withheld"]
+    assert [line.told.partition(":")[0] for line in bench.log_lines("heartbeat")] == [
+        "withheld",
+        "ok",
+        "withheld",
+    ]
 
 
 def test_heartbeats_to_people_are_one_hour_apart_across_restarts(make_bench, monkeypatch):
@@ -417,6 +421,6 @@ def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(make_bench, 
         receiver_module, "alarm_change_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
     )
     assert [changes(message) for message in bench.run(30.0)] == [[("no_data", "raised")]]
-    assert bench.told("sent")[0].event_ids == [readable]
-    assert [line.told for line in bench.told("failing")] == ["it could not be sent (LookupError)"]
+    assert bench.log_lines("sent")[0].event_ids == [readable]
+    assert [line.told for line in bench.log_lines("failing")] == ["it could not be sent (LookupError)"]
     assert f"event {unreadable} cannot be read and is not sent" in caplog.text

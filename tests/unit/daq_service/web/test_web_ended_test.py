@@ -51,7 +51,7 @@ def test_an_acknowledgement_is_done_within_its_request(ended):
     )
     assert api.post("/api/v1/alarms/9/acknowledge", json={}).status_code == 404
     # The lock is free again: a recorder may come.
-    again = FilledFolder(filled.folder, filled.settings, begun=True)
+    again = FilledFolder(filled.folder, filled.settings, exists=True)
     assert [row.state for row in again.catalogue.rows(CommandRow)] == ["done"]
     again.close()
 
@@ -72,7 +72,7 @@ def test_other_commands_are_rejected_with_a_remedy(ended, finished):
 
 def test_a_finished_recorder_that_still_runs_gets_the_command(ended):
     filled, api = ended
-    lingering = FilledFolder(filled.folder, filled.settings, begun=True)
+    lingering = FilledFolder(filled.folder, filled.settings, exists=True)
     lingering.say("schedule_done")
     assert api.post("/api/v1/alarms/1/acknowledge", json={}).json()["state"] == "pending"
     lingering.close()
@@ -142,7 +142,7 @@ def test_a_shelf_has_an_end_and_a_reason(ended, body):
 
 def test_alarms_are_filtered_by_state_severity_kind_and_hour(ended):
     filled, api = ended
-    again = FilledFolder(filled.folder, filled.settings, begun=True)
+    again = FilledFolder(filled.folder, filled.settings, exists=True)
     again.add_alarm("C", 0, severity="low", kind="no_data", state="acknowledged")
     again.close()
 

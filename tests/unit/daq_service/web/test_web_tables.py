@@ -45,7 +45,7 @@ def filled(tmp_path_factory):
 
     folder.assessment = with_a_cause
     for index in range(N_SETS):
-        folder.add_set(index, stored=index == 0, judged=index != 7)
+        folder.add_set(index, stored=index == 0, assessed=index != 7)
         folder.add_environment(index)
     folder.shelve(folder.add_alarm("B", 55), "a new coil comes", for_h=1.0)
     folder.annotate(3.0, to_h=5.5, position="B", text="couplant, renewed\nby hand")

@@ -35,7 +35,7 @@ kind = "scripted"
 digitizer = "mine"
 striker = "mine"
 """
-BESIDE_ANOTHER = """
+TWO_INSTRUMENTS = """
 [rig.instruments.mine]
 kind = "scripted"
 
@@ -227,7 +227,7 @@ def kind_of(
 def prove(pytester, monkeypatch):
     """Install a kind for this process and run the one command on it."""
     offer(monkeypatch, pytester.path / "site", OFFERED)
-    # The other plugins that are installed here would be imported anew for each run.
+    # The other plugins that are installed here would be imported again for each run.
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     configuration = pytester.path / "rig.toml"
     configuration.write_text(CONFIGURATION)
@@ -327,7 +327,7 @@ def test_a_broken_rule_is_named_and_no_other(prove, broken, rules):
         result.stdout.fnmatch_lines([f"FAILED *::test_{rule.replace(' ', '_').replace('[', '[[]')}*"])
 
 
-def test_on_a_real_instrument_nothing_moves_that_nobody_allowed(prove):
+def test_nothing_moves_on_a_real_instrument_without_permission(prove):
     result = prove("--solimon-config", "rig.toml", "-rs", striker=MovesInEarnest)
     assert result.ret == 0
     result.stdout.fnmatch_lines(
@@ -341,14 +341,14 @@ class MovesInEarnest(Striker):
         raise AssertionError("a striker moved")
 
 
-def test_where_somebody_allowed_it_the_position_s_own_striker_strikes(prove):
+def test_the_striker_of_the_position_strikes_with_permission(prove):
     result = prove("--solimon-config", "rig.toml", "--solimon-strike", striker=MovesInEarnest)
     assert "a strike on an armed digitizer is recorded" in broken_rules(result)
     assert "a striker moved" in result.stdout.str()
 
 
 def test_another_instrument_of_the_position_strikes_for_a_digitizer(prove, pytester):
-    (pytester.path / "beside.toml").write_text(BESIDE_ANOTHER)
+    (pytester.path / "beside.toml").write_text(TWO_INSTRUMENTS)
     result = prove("--solimon-config", "beside.toml", "--solimon-strike")
     assert result.ret == 0
     result.stdout.fnmatch_lines(
@@ -357,7 +357,7 @@ def test_another_instrument_of_the_position_strikes_for_a_digitizer(prove, pytes
 
 
 @pytest.mark.parametrize(
-    ("options", "told"),
+    ("options", "message"),
     [
         (["--solimon-kind", "nobodys"], "no installed package offers the kind 'nobodys'"),
         (["--solimon-config", "missing.toml"], "missing.toml cannot be read"),
@@ -367,12 +367,12 @@ def test_another_instrument_of_the_position_strikes_for_a_digitizer(prove, pytes
         (["--solimon-double", "scripted_kind:KIND"], "scripted_kind:KIND is a Kind"),
     ],
 )
-def test_what_cannot_be_had_is_told_before_anything_is_opened(prove, pytester, options, told):
+def test_wrong_options_are_reported_before_anything_is_opened(prove, pytester, options, message):
     (pytester.path / "other.toml").write_text("[rig.instruments]")
     (pytester.path / "broken.toml").write_text("[rig")
     result = prove(*options)
     assert result.ret == pytest.ExitCode.USAGE_ERROR
-    result.stderr.fnmatch_lines([f"*{told}*"])
+    result.stderr.fnmatch_lines([f"*{message}*"])
 
 
 @pytest.mark.parametrize(("module", "is_light"), [("hardware_drivers.errors", True), ("numpy.random", False)])

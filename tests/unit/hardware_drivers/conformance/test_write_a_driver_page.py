@@ -21,7 +21,7 @@ DISARMING = "        finally:\n            self.disarm()\n        range_v"
 
 
 @pytest.mark.parametrize(
-    ("driver", "told"),
+    ("driver", "expected"),
     [
         pytest.param(DRIVER, SOUND, id="as it stands"),
         pytest.param(
@@ -31,7 +31,7 @@ DISARMING = "        finally:\n            self.disarm()\n        range_v"
         ),
     ],
 )
-def test_the_page_s_command_says_what_the_page_says(driver, told, pytester, monkeypatch):
+def test_the_command_of_the_page_prints_its_documented_output(driver, expected, pytester, monkeypatch):
     assert DISARMING in DRIVER
     package = tomllib.loads(PACKAGE)["project"]
     offered = {
@@ -43,7 +43,7 @@ def test_the_page_s_command_says_what_the_page_says(driver, told, pytester, monk
     pytester.makepyfile(acme_scope=driver, acme_double=DOUBLE)
     monkeypatch.syspath_prepend(pytester.path)
     (pytester.path / "rig.toml").write_text(RIG, encoding="utf-8")
-    # The other plugins that are installed here would be imported anew for each run.
+    # The other plugins that are installed here would be imported again for each run.
     monkeypatch.setenv("PYTEST_DISABLE_PLUGIN_AUTOLOAD", "1")
     plugins = [
         "--tb=line",
@@ -54,6 +54,6 @@ def test_the_page_s_command_says_what_the_page_says(driver, told, pytester, monk
         "hardware_drivers.conformance.plugin",
     ]
     result = pytester.runpytest_inprocess(*plugins, *COMMAND.split())
-    said = result.outlines[result.outlines.index(told.splitlines()[0]) :]
-    assert said[: len(told.splitlines())] == told.splitlines()
-    assert result.ret == (1 if told == BROKEN else 0)
+    output = result.outlines[result.outlines.index(expected.splitlines()[0]) :]
+    assert output[: len(expected.splitlines())] == expected.splitlines()
+    assert result.ret == (1 if expected == BROKEN else 0)

@@ -46,7 +46,7 @@ class System:
 
 
 @pytest.mark.parametrize(("status", "answer"), [(-200077, "unknown"), (-88710, None)])
-def test_a_driver_that_does_not_say_its_version_has_none_unless_it_is_gone(monkeypatch, status, answer):
+def test_a_driver_without_a_version_is_accepted_unless_it_is_gone(monkeypatch, status, answer):
     connection = Connection(DaqmxParameters(transducers={"B": TransducerWiring(board_serial="01A2B3C4")}))
     monkeypatch.setattr(connection, "system", lambda: System(status))
     if answer is None:

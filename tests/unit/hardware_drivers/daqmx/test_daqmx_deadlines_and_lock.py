@@ -18,7 +18,7 @@ from hardware_drivers.errors import BusyError, ConfigurationError
 
 @pytest.fixture
 def client():
-    """Return a name nobody else uses."""
+    """Return a unique name."""
     return f"test-{uuid.uuid4().hex}"
 
 
@@ -88,7 +88,7 @@ def test_the_deadline_reaches_the_call():
     assert (sent[0].method, sent[0].timeout, sent[0].metadata) == (details.method, 2.0, details.metadata)
 
 
-def test_grpc_without_its_extra_is_told_with_the_remedy(monkeypatch):
+def test_grpc_without_its_extra_is_reported_with_the_remedy(monkeypatch):
     for name in ("hardware_drivers.daqmx.remote", "nidaqmx._grpc_interpreter"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     monkeypatch.setitem(sys.modules, "grpc", None)

@@ -75,7 +75,7 @@ def test_a_record_keeps_its_counts_when_the_buffer_is_used_again():
     assert first.counts.max() > 10_000
 
 
-def test_volts_follow_the_polynomial_that_the_board_tells():
+def test_volts_follow_the_polynomial_that_the_board_returns():
     polynomial_v = [1e-3, 1.02 * VOLTS_A_CODE, 1e-12, -1e-17]
     channel = SimpleNamespace(ai_dev_scaling_coeff=polynomial_v, ai_resolution=16.0)
     board = SimpleNamespace(label="PXIe-6386 01E16086", calibration_date="2026-01-12")

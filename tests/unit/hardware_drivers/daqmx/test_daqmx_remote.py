@@ -13,7 +13,7 @@ from hardware_drivers.errors import ConnectionLostError
 
 grpc = pytest.importorskip("grpc")
 
-NOBODY = "127.0.0.1:1"
+UNUSED_ADDRESS = "127.0.0.1:1"
 
 
 def answer(channel):
@@ -30,14 +30,14 @@ def channel_to(address):
 
 
 def test_a_new_channel_reaches_a_server_that_is_back_at_once():
-    """Whatever pause an old channel is in: the rungs of the recovery are few."""
+    """For any pause of an old channel: the rungs of the recovery are few."""
     with ExitStack() as stack:
         pool = stack.enter_context(ThreadPoolExecutor(1))
         server = grpc.server(pool)
         port = server.add_insecure_port("127.0.0.1:0")
         server.start()
         stack.callback(lambda: server.stop(None).wait())
-        forwarder = stack.enter_context(Forwarder(NOBODY))
+        forwarder = stack.enter_context(Forwarder(UNUSED_ADDRESS))
         old = channel_to(forwarder.address)
         stack.callback(old.close)
         for _ in range(5):
@@ -53,8 +53,8 @@ PROXY_VARIABLES = ("http_proxy", "https_proxy", "grpc_proxy", "all_proxy", "HTTP
 
 def test_no_variable_leads_the_channel_through_a_web_proxy(monkeypatch):
     for variable in PROXY_VARIABLES:
-        monkeypatch.setenv(variable, f"http://{NOBODY}")
-    monkeypatch.setenv("GRPC_ADDRESS_HTTP_PROXY", NOBODY)
+        monkeypatch.setenv(variable, f"http://{UNUSED_ADDRESS}")
+    monkeypatch.setenv("GRPC_ADDRESS_HTTP_PROXY", UNUSED_ADDRESS)
     monkeypatch.setenv("GRPC_ADDRESS_HTTP_PROXY_ENABLED_ADDRESSES", "127.0.0.0/8")
     with ExitStack() as stack:
         server = grpc.server(stack.enter_context(ThreadPoolExecutor(1)))
@@ -69,13 +69,13 @@ def test_no_variable_leads_the_channel_through_a_web_proxy(monkeypatch):
 @pytest.mark.parametrize(
     ("address", "reason"),
     [
-        (NOBODY, "Connection refused"),
+        (UNUSED_ADDRESS, "Connection refused"),
         (f"{'x' * 64}.lab:31763", "errors resolving x"),
         (None, "Deadline Exceeded"),
     ],
 )
-def test_the_reason_of_grpc_is_in_the_message_and_what_doctor_finds(address, reason):
-    """NI's package has one text for whatever makes a server unavailable."""
+def test_the_grpc_reason_is_in_the_message_and_in_the_finding_of_doctor(address, reason):
+    """NI's package has one text for every unavailable server."""
     pytest.importorskip("nidaqmx")
     from hardware_drivers.daqmx.survey import survey_rig
 

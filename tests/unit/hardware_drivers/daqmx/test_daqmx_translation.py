@@ -69,7 +69,7 @@ def test_the_tables_name_real_statuses_once():
         (-999999, UnknownStatusError),
     ],
 )
-def test_the_statuses_the_laboratory_meets(code, expected):
+def test_statuses_of_the_laboratory_have_their_class(code, expected):
     assert class_of(code) is expected
 
 

@@ -1,4 +1,4 @@
-"""The X Series watchdog stands over each strike: started before the pulse, asked and stopped after it."""
+"""The X Series watchdog guards each strike: started before the pulse, checked and stopped after it."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_it_is_armed_before_the_pulse_and_disarmed_after_it():
     ]  # fmt: skip
 
 
-def test_an_expired_one_is_cleared_and_the_strike_counts_as_missed():
+def test_an_expired_watchdog_is_cleared_and_the_strike_is_missed():
     notes = []
     with pytest.raises(AcquisitionTimeoutError, match=r"expired .* watchdog\.timeout_s"):
         coil(notes, expired=True).pulse()
@@ -107,7 +107,7 @@ def test_watchdogs_that_contradict_each_other_are_refused():
         two_boards(watchdogs=(watchdog("1E18096"), watchdog("BEEF")))
 
 
-def test_a_board_that_drives_a_coil_without_one_is_worth_a_word():
+def test_a_board_that_drives_a_coil_without_a_watchdog_is_a_warning():
     def looked(**changes):
         survey = SimpleNamespace(driver_version="", findings=(), boards=(), noise_rms_v={})
         seen = board_findings(two_boards(**changes), lambda _: survey, shot_interval_s=4.0)

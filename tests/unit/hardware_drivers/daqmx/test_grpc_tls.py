@@ -85,7 +85,7 @@ def tls_of(made, root="server", client="", name="chassis.lab"):
         (True, {}, REFUSED),
     ],
 )
-def test_only_who_knows_the_other_gets_through(made, mutual, given, outcome):
+def test_only_authenticated_peers_are_connected(made, mutual, given, outcome):
     tls = None if given is None else tls_of(made, **given)
     found = reached(made, mutual=mutual, tls=tls)
     assert re.match(outcome, found), found

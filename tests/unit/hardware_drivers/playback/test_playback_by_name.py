@@ -1,4 +1,4 @@
-"""LabVIEW files with all channels in one group are played by the channels' names; nobody writes a pattern."""
+"""LabVIEW files with all channels in one group are played by the channels' names, without a pattern."""
 
 import pytest
 from support.archived_sets import make_shot
@@ -42,7 +42,7 @@ def test_a_channel_named_after_its_position_is_its_shot(tmp_path):
 
 
 @pytest.mark.parametrize("pattern", ["B_{}", "B{}", "B shot {}", "B.Shot_{}", "B-{}"])
-def test_a_number_behind_it_is_the_shot_s(tmp_path, pattern):
+def test_a_number_after_the_position_is_the_shot_index(tmp_path, pattern):
     path = recording(tmp_path / "x.tdms", *(pattern.format(number) for number in (2, 10)))
     assert found(path) == {("B", 0, 2): 0, ("B", 0, 10): 1}
 
@@ -61,17 +61,17 @@ def test_files_of_sets_count_as_ever_and_a_probe_s_channel_gives_echoes(tmp_path
 
 
 @pytest.mark.parametrize(
-    ("names", "told"),
+    ("names", "message"),
     [
         (["B", "B_0"], "channels 'B' and 'B_0' are both shot 0 of 'B'"),
         (["B1", "B 1", "C"], "channels 'B1' and 'B 1' are both shot 1 of 'B'"),
     ],
 )
-def test_two_names_for_one_shot_are_refused_with_the_names_found(tmp_path, names, told):
+def test_two_names_for_one_shot_are_refused_with_the_names_found(tmp_path, names, message):
     path = recording(tmp_path / "x.tdms", *names)
     with pytest.raises(ConfigurationError) as refusal:
         found(path)
-    assert told in str(refusal.value)
+    assert message in str(refusal.value)
     assert f"its channels are: {', '.join(sorted(names))}; say which" in str(refusal.value)
 
 
@@ -82,7 +82,7 @@ def test_a_name_for_two_positions_is_refused(tmp_path):
         found(path, wanted)
 
 
-def test_a_position_s_own_name_is_no_shot_of_another(tmp_path):
+def test_the_name_of_a_position_is_not_matched_as_a_shot_of_another(tmp_path):
     path = recording(tmp_path / "x.tdms", "B1", "B")
     assert found(path, {"B": "solitary_wave", "B1": "solitary_wave"}) == {("B", 0, 0): 1, ("B1", 0, 0): 0}
 

@@ -126,6 +126,6 @@ def test_values_scaled_before_have_no_scales():
         ),
     ],
 )
-def test_what_is_no_polynomial_says_why(properties, message):
+def test_a_scaling_without_a_polynomial_gives_the_reason(properties, message):
     with pytest.raises(ScalingError, match=message):
         raw_polynomial(properties)

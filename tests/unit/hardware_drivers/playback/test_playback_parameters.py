@@ -52,7 +52,7 @@ def test_a_table_of_a_file_becomes_parameters():
         ({"averages": 0}, "averages is 0; it must be at least 1"),
     ],
 )
-def test_what_cannot_be_is_refused_by_key_and_value(values, message):
+def test_an_impossible_value_is_refused_with_key_and_value(values, message):
     with pytest.raises(ValueError, match=r".*") as refused:
         TdmsMapping(**values)
     assert message in str(refused.value)

@@ -65,7 +65,7 @@ def test_an_attempt_that_was_not_recorded_is_a_missed_strike_and_the_next_one_is
     assert play(instruments, shot.key).waveform is shot.waveform
 
 
-def test_the_recording_says_which_attempt_was_the_last_one():
+def test_the_recording_states_the_last_attempt():
     instruments = build_instruments(shots_in_memory([make_shot("B", 0, 1), make_shot("B", 1, 2, attempt=1)]))
 
     def key(shot_index, attempt):
@@ -94,7 +94,7 @@ def test_a_strike_elsewhere_or_a_second_one_plays_nothing_else():
     assert instruments.digitizer.read(1.0).waveform is shots[0].waveform
 
 
-def test_it_is_the_strike_that_says_which_shot_comes():
+def test_the_strike_selects_the_shot():
     shots = [make_shot("B", 0, 1), make_shot("B", 1, 2)]
     instruments = build_instruments(shots_in_memory(shots))
     instruments.digitizer.arm(shots[0].key)
@@ -124,7 +124,7 @@ def test_a_timeout_must_be_positive():
             call()
 
 
-def test_a_shot_where_an_echo_was_promised_is_said():
+def test_a_shot_in_place_of_an_echo_is_reported():
     shot = make_shot("A", 0, 1)
     source = ShotsBySet({"A": "pulse_echo"}, lambda set_index: [shot])
     with pytest.raises(ConfigurationError, match="has a Acquired at the pulse_echo position 'A'"):
@@ -190,7 +190,7 @@ def test_each_planned_time_meets_its_recorded_moment():
     assert times_s(clock, 10.0, 10.001, 10.001, 14.001, 18.001) == [10.001, 10.002, 10.101, 14.003, 18.002]
 
 
-def test_a_moment_at_the_planned_time_itself_is_met():
+def test_a_time_equal_to_the_scheduled_time_is_matched():
     assert times_s(recorded_clock(10.0, 10.1), 10.0, 10.0) == [10.0, 10.1]
 
 

@@ -48,7 +48,7 @@ def test_codes_and_their_polynomial_pass_to_the_last_bit(tmp_path):
 
 
 def replace_range(waveform):
-    """The file tells neither range nor date: the range is what the extreme codes mean."""
+    """The file contains neither range nor date: the range is what the extreme codes mean."""
     calibration = waveform.calibration
     _, high = calibration.full_scale_counts
     constant, slope = calibration.coefficients_v
@@ -98,19 +98,19 @@ def test_big_endian_codes_keep_their_size(tmp_path):
     lead_in = b"TDSm" + struct.pack("<L", 0x2 | 0x4 | 0x8 | 0x40)
     lead_in += struct.pack(">LQQ", 4713, len(meta) + len(raw), len(meta))
     (tmp_path / "set_7.tdms").write_bytes(lead_in + meta + raw)
-    told = {
+    mapping = {
         "coefficients_v": (0.0, 1e-5),
         "sample_rate_hz": 1e7,
         "pretrigger_samples": 1,
         "resolution_bits": 18,
     }
-    found = played(tmp_path, **told)
+    found = played(tmp_path, **mapping)
     assert found.waveform.counts.dtype == np.dtype(np.int32)
     assert found.waveform.counts.tolist() == counts.tolist()
 
 
 def daqmx_raw_file(path, counts, scalers, properties):
-    """Codes as DAQmx logs them: a "format changing scaler" tells their type; npTDMS cannot write this."""
+    """Codes as DAQmx logs them: a "format changing scaler" states their type; npTDMS cannot write this."""
 
     def text(value):
         return struct.pack("<L", len(value)) + value.encode()
@@ -123,17 +123,17 @@ def daqmx_raw_file(path, counts, scalers, properties):
         index += struct.pack("<LLLLL", 3, 0, offset, 0, scale_id)
     index += struct.pack("<LL", 1, 2 * len(scalers))
     meta = struct.pack("<L", 1) + text("/'B'/'shot_3'") + index
-    told = b"".join(text(name) + struct.pack("<Ld", 10, value) for name, value in properties.items())
-    meta += struct.pack("<L", len(properties)) + told
+    encoded = b"".join(text(name) + struct.pack("<Ld", 10, value) for name, value in properties.items())
+    meta += struct.pack("<L", len(properties)) + encoded
     rows = np.repeat(counts[:, None], len(scalers), axis=1).astype("<i2").tobytes()
     lead_in = b"TDSm" + struct.pack("<LLQQ", 0x8E, 4713, len(meta) + len(rows), len(meta))
     path.write_bytes(lead_in + meta + rows)
 
 
 def test_codes_that_daqmx_logged_are_codes(tmp_path):
-    told = {"wf_increment": 1e-7, "wf_start_offset": -1e-6}
+    properties = {"wf_increment": 1e-7, "wf_start_offset": -1e-6}
     counts = counts_of(1, 300)
-    daqmx_raw_file(tmp_path / "set_7.tdms", counts, [(0, 0)], told)
+    daqmx_raw_file(tmp_path / "set_7.tdms", counts, [(0, 0)], properties)
     waveform = played(tmp_path, coefficients_v=(0.0, 1e-3)).waveform
     assert waveform.counts.dtype == np.int16
     assert waveform.counts.tobytes() == counts.tobytes()
@@ -161,7 +161,7 @@ def test_codes_without_a_scaling_need_the_board_s_polynomial(tmp_path):
 
 
 @pytest.mark.parametrize("place", ["group", "file"])
-def test_a_scaling_may_stand_above_the_channel(tmp_path, place):
+def test_a_scaling_may_belong_to_the_group_or_the_file(tmp_path, place):
     scaling = {name: value for name, value in RAW.items() if name.startswith("NI_")}
     write(
         tmp_path / "set_7.tdms",
@@ -258,7 +258,7 @@ def test_floats_that_were_scaled_are_not_scaled_again(tmp_path):
 
 @pytest.mark.parametrize(("unit", "message"), [("Pa", "the unit is 'Pa', V is needed"), (None, "no unit")])
 @pytest.mark.parametrize("kind", ["codes", "scaled"])
-def test_what_is_not_volts_needs_a_scale(tmp_path, unit, message, kind):
+def test_a_unit_other_than_volts_needs_a_scale(tmp_path, unit, message, kind):
     properties = without(RAW if kind == "codes" else VOLTS, "unit_string")
     values = SHOT.waveform.counts if kind == "codes" else SHOT.waveform.volts()
     one_channel(tmp_path, values, properties if unit is None else properties | {"unit_string": unit})
@@ -275,7 +275,7 @@ def test_volts_have_many_names_and_are_never_scaled(tmp_path, unit):
     assert coefficients.tolist() == SHOT.waveform.calibration.coefficients_v.tolist()
 
 
-def test_a_missing_rate_is_asked_for(tmp_path):
+def test_a_missing_rate_is_requested(tmp_path):
     one_channel(tmp_path, SHOT.waveform.counts, without(RAW, "wf_increment"))
     with pytest.raises(
         ConfigurationError, match=r"no sample rate \(wf_increment is missing\); give sample_rate"
@@ -298,9 +298,9 @@ def test_whole_rates_survive_their_reciprocal(tmp_path, rate_hz):
 
 
 @pytest.mark.parametrize("offset", [None, 0.0, 1e-5])
-def test_a_trigger_that_is_not_told_is_asked_for(tmp_path, offset):
-    told = {} if offset is None else {"wf_start_offset": offset}
-    one_channel(tmp_path, SHOT.waveform.counts, without(RAW, "wf_start_offset") | told)
+def test_a_missing_trigger_position_is_requested(tmp_path, offset):
+    offsets = {} if offset is None else {"wf_start_offset": offset}
+    one_channel(tmp_path, SHOT.waveform.counts, without(RAW, "wf_start_offset") | offsets)
     with pytest.raises(
         ConfigurationError, match=r"where the trigger is cannot be told.*give pretrigger_samples"
     ):
@@ -316,7 +316,7 @@ def test_a_trigger_outside_the_record_is_refused(tmp_path):
         open_tdms(tmp_path)
 
 
-def test_what_the_channel_says_wins_over_its_group_and_that_over_the_file(tmp_path):
+def test_channel_properties_override_group_properties_and_those_the_file(tmp_path):
     write(
         tmp_path / "set_7.tdms",
         [("B", "shot_3", SHOT.waveform.counts, without(RAW, "wf_start_offset"))],
@@ -350,7 +350,7 @@ def test_a_record_without_a_time_has_none(tmp_path):
         assert shots.next_moment(0) is None
 
 
-def test_a_time_that_is_none_is_refused(tmp_path):
+def test_an_invalid_time_is_refused(tmp_path):
     one_channel(tmp_path, SHOT.waveform.counts, RAW | {"wf_start_time": "noon"})
     with pytest.raises(ConfigurationError, match="wf_start_time is 'noon', no time stamp"):
         open_tdms(tmp_path)
@@ -375,7 +375,7 @@ def test_names_may_count_from_1_and_positions_have_other_names(tmp_path):
     assert_same_waveform(found.waveform, replace_range(SHOT.waveform))
 
 
-def test_properties_may_tell_everything(tmp_path):
+def test_properties_may_supply_all_settings(tmp_path):
     properties = RAW | {"Shot number": 4}
     write(
         tmp_path / "data.tdms",
@@ -384,16 +384,16 @@ def test_properties_may_tell_everything(tmp_path):
         root={"Set": "7"},
     )
     patterns = {"file_pattern": ".*", "group_pattern": ".*", "channel_pattern": ".*"}
-    told = {"position_property": "Channel", "set_property": "Set", "shot_property": "Shot number"}
-    with open_tdms(tmp_path / "data.tdms", TdmsMapping(**patterns, **told, first_shot=1)) as shots:
+    mapping = {"position_property": "Channel", "set_property": "Set", "shot_property": "Shot number"}
+    with open_tdms(tmp_path / "data.tdms", TdmsMapping(**patterns, **mapping, first_shot=1)) as shots:
         assert shots.keys == [KEY]
         assert shots.positions == {"B": "solitary_wave"}
     with pytest.raises(ConfigurationError, match="property 'Sets' that tells the set is missing"):
-        open_tdms(tmp_path, TdmsMapping(**patterns, **told | {"set_property": "Sets"}))
+        open_tdms(tmp_path, TdmsMapping(**patterns, **mapping | {"set_property": "Sets"}))
 
 
 @pytest.mark.parametrize("number", ["three", "3.5", 2.5, -1])
-def test_a_number_that_is_none_is_refused(tmp_path, number):
+def test_an_invalid_number_is_refused(tmp_path, number):
     one_channel(tmp_path, SHOT.waveform.counts, RAW | {"Shot": number})
     with pytest.raises(ConfigurationError, match=rf"the shot .*{re.escape(str(number))}"):
         open_tdms(tmp_path, TdmsMapping(channel_pattern=".*", shot_property="Shot"))
@@ -469,7 +469,7 @@ def test_two_records_of_one_shot_are_refused_with_both_places(tmp_path):
         open_tdms(tmp_path)
 
 
-def test_what_does_not_match_is_left_out_and_nothing_at_all_is_an_error_that_shows_names(tmp_path):
+def test_unmatched_files_are_skipped_and_no_match_is_an_error_with_the_names(tmp_path):
     channels = [("B", "shot_3", SHOT.waveform.counts, RAW), ("Log", "room temperature", [21.5, 22.0], {})]
     write(tmp_path / "set_7.tdms", channels)
     (tmp_path / "notes.tdms").write_text("not looked into: its name does not match")
@@ -492,7 +492,7 @@ def test_an_empty_channel_was_not_recorded(tmp_path):
         assert shots.find(replace(KEY, shot_index=2)) is None
 
 
-def test_no_folder_and_no_file_are_said(tmp_path):
+def test_a_missing_folder_and_missing_files_are_reported(tmp_path):
     with pytest.raises(ConfigurationError, match="there is no TDMS file or folder"):
         open_tdms(tmp_path / "nowhere")
     with pytest.raises(ConfigurationError, match=r"has no file '\*\*/\*\.tdms'"):
@@ -573,7 +573,7 @@ def test_a_file_cut_anywhere_is_refused_unless_it_ends_with_a_whole_record(tmp_p
     assert "set_000007.tdms is cut short" in found[len(first) + 40]
 
 
-def test_an_index_file_beside_it_is_not_believed(tmp_path):
+def test_an_index_file_next_to_the_data_file_is_ignored(tmp_path):
     path = write_set(tmp_path, 7, [make_shot("B", 2, 42)])
     index = path.read_bytes().replace(b"TDSm", b"TDSh")
     write_set(tmp_path, 7, [SHOT])
@@ -614,13 +614,13 @@ def test_a_file_damaged_anywhere_gives_our_error_or_a_record(tmp_path):
     assert refused > len(whole) // 3
 
 
-def test_a_record_shorter_than_it_says_is_refused(tmp_path):
+def test_a_record_shorter_than_its_stated_length_is_refused(tmp_path):
     one_channel(tmp_path, SHOT.waveform.counts, RAW | {"wf_samples": 301})
     with pytest.raises(ConfigurationError, match=r"'shot_3': cut short, 300 of 301 samples \(wf_samples\)"):
         open_tdms(tmp_path)
 
 
-def test_a_file_that_vanished_is_said_when_its_shot_is_asked_for(tmp_path):
+def test_a_missing_file_is_reported_when_its_shot_is_read(tmp_path):
     path = write_set(tmp_path, 7, [SHOT])
     with open_tdms(tmp_path) as shots:
         path.unlink()
@@ -628,7 +628,7 @@ def test_a_file_that_vanished_is_said_when_its_shot_is_asked_for(tmp_path):
             shots.find(KEY)
 
 
-def test_a_file_that_changed_is_said_when_its_shot_is_asked_for(tmp_path):
+def test_a_changed_file_is_reported_when_its_shot_is_read(tmp_path):
     write_set(tmp_path, 7, [SHOT])
     with open_tdms(tmp_path) as shots:
         write_set(tmp_path, 7, [make_shot("B", 3, 43, n_samples=200)])

@@ -147,7 +147,7 @@ def test_a_described_sphere_changes_its_own_contacts():
         ),
     ],
 )
-def test_chains_that_cannot_be_are_refused(changes, message):
+def test_impossible_chains_are_refused(changes, message):
     with pytest.raises(ValueError, match=message):
         replace(DISK, **changes)
 

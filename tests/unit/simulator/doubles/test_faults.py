@@ -49,7 +49,7 @@ def outcome(call, *arguments, **more):
         ({"times": 0}, [-88710] * 4),
     ],
 )
-def test_an_error_strikes_the_call_it_was_ordered_for(brain, me, order, expected):
+def test_an_injected_error_occurs_at_its_call(brain, me, order, expected):
     brain.faults.inject("DAQmxCreateTask", "error", code=-88710, **order)
     me("GetSystemInfoAttribute", attribute=0x193B)
     assert [outcome(me, "CreateTask") for _ in range(4)] == expected
@@ -57,19 +57,19 @@ def test_an_error_strikes_the_call_it_was_ordered_for(brain, me, order, expected
     assert len(brain.record()["tasks"]) == expected.count(0)
 
 
-def test_an_order_can_name_the_attribute(brain, me):
+def test_an_injected_fault_can_name_the_attribute(brain, me):
     brain.faults.inject("DAQmxGetSystemInfoAttribute:Sys.DevNames", "error", code=-50103)
     assert outcome(me, "GetSystemInfoAttribute", attribute=0x1272) == 0
     assert outcome(me, "GetSystemInfoAttribute", attribute=0x193B) == -50103
 
 
-def test_cleared_orders_are_forgotten(brain, me):
+def test_cleared_faults_are_forgotten(brain, me):
     brain.faults.inject("DAQmxCreateTask", "error", code=-50103)
     brain.faults.clear()
     assert outcome(me, "CreateTask") == 0
 
 
-def test_the_record_tells_what_was_answered(brain, me):
+def test_the_record_contains_the_answers(brain, me):
     brain.faults.inject("DAQmxGetSystemInfoAttribute", "error", code=-50103)
     outcome(me, "GetSystemInfoAttribute", attribute=0x193B)
     call = brain.record()["calls"][-1]
@@ -90,12 +90,12 @@ def test_the_record_tells_what_was_answered(brain, me):
         ({"function": "DAQmxStartTask", "kind": "hang", "nth": 0}, "at least 1"),
     ],
 )
-def test_orders_that_make_no_sense_are_refused(order, reason):
+def test_invalid_commands_are_rejected(order, reason):
     with pytest.raises(ValueError, match=reason):
         Faults().inject(**order)
 
 
-def test_a_warning_can_be_ordered_too(brain, me):
+def test_a_warning_can_be_injected(brain, me):
     brain.faults.inject("DAQmxCreateTask", "error", code=200010)
     with pytest.raises(Status) as caught:
         me("CreateTask")
@@ -178,9 +178,9 @@ def test_a_lying_rate_looks_coerced(brain, me):
 
 @pytest.mark.parametrize("entry", TABLE.values(), ids=lambda entry: entry.name)
 def test_every_call_that_answers_can_lie(entry):
-    told = [parameter for parameter in entry.parameters if parameter.goes_out]
+    outputs = [parameter for parameter in entry.parameters if parameter.goes_out]
     truth = {}
-    for parameter in told:
+    for parameter in outputs:
         if parameter.role.value == "out_text":
             truth[parameter.name] = "something"
         elif parameter.role.value == "out_array":

@@ -80,7 +80,7 @@ def test_every_record_of_an_echo_beyond_the_range_clips():
 
 
 def test_noise_clips_single_records_although_their_mean_shows_nothing():
-    """The crest stands at the last code: half of the records clip there, and their mean stays below it."""
+    """The crest is at the last code: half of the records clip there, and their mean stays below it."""
     # A wall whose echo's crest falls on a sample: 6.785 mm are 2,300 ns.
     edge = replace(SMOOTH, back_wall_v=1.0, attenuation_db_per_m=0.0, noise_rms_v=0.02, averages=1_000)
     whole = build_specimen(
@@ -96,7 +96,7 @@ def test_noise_clips_single_records_although_their_mean_shows_nothing():
     assert lost_v == pytest.approx(0.02 / np.sqrt(2.0 * np.pi), abs=4.0 * 0.012 / np.sqrt(1_000) + 2.0**-13)
 
 
-def test_a_mean_that_is_drawn_once_scatters_like_one_drawn_record_by_record():
+def test_a_mean_drawn_once_has_the_scatter_of_a_mean_drawn_record_by_record():
     thinning = {"A": ThinningParameters()}
     near = replace(SMOOTH, back_wall_v=0.88, noise_rms_v=0.02)
     by_record = specimen(near, thinning=thinning).echo(key(), 0.0)
@@ -106,7 +106,7 @@ def test_a_mean_that_is_drawn_once_scatters_like_one_drawn_record_by_record():
     assert scatter == pytest.approx([5e-3, 5e-3], rel=0.11)
 
 
-def test_a_warm_wall_s_truth_is_its_own_travel_time():
+def test_the_truth_of_a_warm_wall_is_its_travel_time():
     echo = replace(SMOOTH, velocity_per_k=-1.8e-4)
     twin = TwinParameters(echo=echo, drift=DriftParameters(wander_sd_k=0.0, diurnal_amplitude_k=10.0))
     made = build_specimen(twin, transducers={}, probed_thickness_m={"A": 6.35e-3})

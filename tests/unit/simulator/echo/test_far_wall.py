@@ -54,7 +54,7 @@ def test_the_loss_scatters_as_asked_for():
     assert 0.5 * ROUGH.roughness_fraction < np.std(logs) < 1.1 * ROUGH.roughness_fraction
 
 
-def test_every_seed_and_position_has_its_own_wall_and_always_the_same():
+def test_every_seed_and_position_has_its_own_reproducible_wall():
     first = rough_spot(ROUGH, seed=1, position="A").relative_loss
     np.testing.assert_array_equal(first, rough_spot(ROUGH, seed=1, position="A").relative_loss)
     assert not np.array_equal(first, rough_spot(ROUGH, seed=2, position="A").relative_loss)

@@ -167,7 +167,7 @@ def test_a_warmer_wall_sends_its_echo_later_by_the_gauges_coefficient():
     assert at_temperature(echo, 0.0) == echo
 
 
-def test_bubbles_come_behind_the_wall_as_many_and_as_strong_as_asked_for():
+def test_bubbles_follow_the_wall_echo_with_the_given_rate_and_strength():
     echo = replace(ECHO, bubbles_per_beam=3.0)
     records = bubble_volts(5e-3, echo, np.random.default_rng(0), 400)
     seen = np.abs(records) > 0.0

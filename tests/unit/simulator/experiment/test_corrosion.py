@@ -82,14 +82,14 @@ def test_a_table_of_depths_replaces_the_law():
     hours = (-5.0, 0.0, 10.0, 15.0, 20.0, 30.0, 40.5, 41.0, 1e4)
     expected = [0.1, 0.1, 0.1, 0.1, 0.1, 0.3, 0.725, 0.95, 0.95]
     np.testing.assert_allclose(depths(thinning, hours=hours), expected, rtol=1e-14)  # rounding
-    # Whatever seed and position: nothing is drawn.
+    # For any seed and position: nothing is drawn.
     assert np.array_equal(depths(thinning, seed=7, position="C"), depths(thinning))
     history = wall_history(thinning, seed=1, position="B")
     assert not history.at(40.9).is_hole
     assert history.at(41.0).is_hole
 
 
-def test_a_pit_grows_beside_a_table_of_depths():
+def test_a_pit_grows_in_addition_to_a_table_of_depths():
     thinning = ThinningParameters(history=((0.0, 0.0), (100.0, 0.2)), hole_h=90.0)
     history = wall_history(thinning, seed=1, position="B")
     assert history.at(45.0).pit_depth_fraction == pytest.approx(0.475, rel=1e-12)
@@ -169,7 +169,7 @@ def test_one_reduction_serves_a_pitted_wall_s_life_and_reflects_as_one_reduced_a
 
 
 @pytest.mark.parametrize(
-    ("thinning", "corrosion", "told"),
+    ("thinning", "corrosion", "message"),
     [
         (PITTED, CorrosionParameters(shape="round"), "pits_per_edge divides one flat square patch"),
         (PITTED, CorrosionParameters(profile="bowl"), "set shape = 'square'"),
@@ -180,6 +180,6 @@ def test_one_reduction_serves_a_pitted_wall_s_life_and_reflects_as_one_reduced_a
         ),
     ],
 )
-def test_a_patch_that_has_no_pits_is_refused(thinning, corrosion, told):
-    with pytest.raises(SpecimenError, match=told):
+def test_a_patch_that_has_no_pits_is_refused(thinning, corrosion, message):
+    with pytest.raises(SpecimenError, match=message):
         patch_of(TwinParameters(thinning={"B": thinning}), "B", corrosion)

@@ -109,13 +109,13 @@ def test_every_level_has_its_sizes_and_they_grow():
         assert lower.reseats_per_1000_h < higher.reseats_per_1000_h
 
 
-def test_without_nuisance_nothing_is_drawn_and_nothing_stored():
+def test_without_variability_nothing_is_drawn_and_nothing_stored():
     made = specimen()
     assert found(made, key()) is None
     assert not [name for name in truths(made, [key()])[0] if name.startswith("nuisance")]
 
 
-def test_a_nuisance_without_sizes_changes_no_count(only):
+def test_variability_of_size_zero_changes_no_count(only):
     plain, inert = (
         made.solitary_wave(key(3, 4), 20.0)
         for made in (
@@ -217,7 +217,7 @@ def test_striker_and_wear_move_time_of_flight_with_the_width_of_the_incident_wav
     ln_tof = np.log([one.tof_mf_s for one in measured])
     slope = np.polyfit(ln_width, ln_tof, 1)[0]
     assert np.ptp(ln_width) > 0.03
-    # .81 was found with the paper's plate over all its sources; each of them lies some .1 beside it.
+    # .81 was found with the paper's plate over all its sources; each of them differs from it by some .1.
     assert slope == pytest.approx(0.81, abs=0.15)
 
 
@@ -236,7 +236,7 @@ def test_corrosion_leaves_the_incident_wave_as_it_was():
     assert gone.truth["tof_s"] > 1.02 * same.truth["tof_s"]
 
 
-def test_contacts_are_seated_one_by_one_and_beads_turn_to_both_sides(only):
+def test_contacts_are_seated_one_by_one_and_spheres_turn_to_both_sides(only):
     made = only(contact_stiffness=SourceParameters(shot_sd=0.05))
     factors = np.array([found(made, key(k)).contacts.stiffness_factor for k in range(400)])
     assert np.all(factors[:, -1] == 1.0), "the plate's contact is a source of its own"
@@ -346,7 +346,7 @@ def test_warmth_softens_chain_and_plate_slows_the_striker_and_acts_on_the_pzt(on
     assert wall.warmer_k == pytest.approx(plate_k, rel=1e-9)
 
 
-def test_factors_of_contacts_and_plate_are_a_chain_and_a_plate_with_these_moduli():
+def test_factors_of_contacts_and_plate_equal_changed_moduli():
     plate = PlateParameters(elements_per_edge=32, contact_element_m=1e-3)
     nominal = ShotModel(CHAIN, plate, CorrosionParameters(), cache_folder=None)
     soft = ShotModel(
@@ -393,25 +393,25 @@ def test_the_liquid_evaporates_and_is_topped_up_and_the_plate_feels_its_depth(on
 
 
 @pytest.mark.parametrize(
-    ("given", "told"),
+    ("given", "message"),
     [
         ({"plate_modulus_factor": 0.0}, "plate_modulus_factor is 0.0; it must be positive"),
         ({"contacts": (np.ones(9), np.ones(8))}, r"damping_factor is \[.*it must be 9 positive numbers"),
         ({"contacts": (np.full(9, np.nan), np.ones(9))}, "stiffness_factor is .*it must be 9 positive"),
     ],
 )
-def test_a_seat_that_is_none_is_refused(given, told):
+def test_an_invalid_seat_is_refused(given, message):
     if "contacts" in given:
         stiffness, damping = given["contacts"]
         given = {"contacts": Contacts(stiffness_factor=stiffness, damping_factor=damping)}
-    with pytest.raises(ValueError, match=told):
+    with pytest.raises(ValueError, match=message):
         MODEL.shots([Impact(**given)])
 
 
 # ---- sounds
 
 
-def test_noisy_hours_knocks_and_bursts_are_heard_and_told(only):
+def test_noisy_hours_knocks_and_bursts_are_recorded_with_their_truth(only):
     loud = replace(QUIET, noise=NoiseParameters())
     plain = specimen(loud).solitary_wave(key(), 1.0)
     noisy = only(loud, noisy_hour_probability=1.0, noisy_factor=3.0).solitary_wave(key(), 1.0)

@@ -34,7 +34,7 @@ def series(memory, dof=5.0, seed=1, sets=SETS, first=0):
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.3, 0.6, 0.8])
-def test_the_memory_from_set_to_set_is_that_of_an_ar1_process(memory):
+def test_the_autocorrelation_of_sets_is_that_of_an_ar1_process(memory):
     # Across the first blocks' border, where a window takes its innovations from two of them.
     x = series(memory, first=LAGS - SETS // 2)
     # Products of t5 scatter more than those of a normal: 4 of 1 / sqrt(n), widened by kurtosis and memory.
@@ -46,16 +46,16 @@ def test_the_memory_from_set_to_set_is_that_of_an_ar1_process(memory):
 
 
 @pytest.mark.parametrize("memory", [0.0, 0.8])
-def test_a_set_beside_the_plan_remembers_the_planned_one_before_it(memory):
+def test_an_unscheduled_set_is_correlated_with_the_scheduled_set_before_it(memory):
     last = LAGS - 1  # the next planned set lies in the next block
     planned, following = series(memory, sets=2, first=last)
-    beside, another = (series(memory, sets=1, first=n * PLANNED_SETS + last)[0] for n in (1, 2))
+    unscheduled, another = (series(memory, sets=1, first=n * PLANNED_SETS + last)[0] for n in (1, 2))
     # As between neighbouring planned sets. 4 of 1 / sqrt(n), widened by the kurtosis of t5.
     slack = 4.0 * np.sqrt(3.0 / WIDE)
-    assert (beside * planned).mean() == pytest.approx(memory, abs=slack)
-    assert (beside * following).mean() == pytest.approx(memory**2, abs=slack)
-    assert (beside * another).mean() == pytest.approx(memory**2, abs=slack)
-    assert not np.any(beside == following)
+    assert (unscheduled * planned).mean() == pytest.approx(memory, abs=slack)
+    assert (unscheduled * following).mean() == pytest.approx(memory**2, abs=slack)
+    assert (unscheduled * another).mean() == pytest.approx(memory**2, abs=slack)
+    assert not np.any(unscheduled == following)
 
 
 def test_the_tails_are_student_s():
@@ -70,7 +70,7 @@ def test_the_tails_are_student_s():
     assert unit_t(np.random.default_rng(1), 1e3, 200_000).std() == pytest.approx(1.0, abs=4.0 / np.sqrt(4e5))
 
 
-def test_a_wander_has_its_deviation_and_is_slow():
+def test_a_slow_drift_has_its_standard_deviation():
     drawn = draw_slow_drift(Purpose.SEATING_WANDER, 1, "B", 4_000, 48.0, 1_000.0)
     now = slow_drift(100.0, drawn)
     # Sums of eight sinusoids: their variance is 1 and scatters less than that of a normal.
@@ -106,15 +106,15 @@ def test_re_seats_come_at_their_rate_go_either_way_and_stay():
     assert values_after_reseats(hours, 0.0, seed=1, position="B", size=3)[0] == 0
 
 
-def test_as_many_hours_are_noisy_as_is_stated_and_everywhere_the_same():
+def test_the_noisy_hours_have_their_rate_and_are_common_to_all_positions():
     found = [is_noisy_hour(1, hour, 0.1) for hour in range(2_000)]
     low, high = stats.binom.interval(1.0 - 1e-4, len(found), 0.1)
     assert low <= sum(found) <= high
     assert found != [is_noisy_hour(2, hour, 0.1) for hour in range(2_000)]
 
 
-def test_every_value_is_computed_alone_with_the_digits_it_has_in_any_order():
-    def told(set_index):
+def test_every_value_is_independent_of_the_order_of_computation():
+    def values_of(set_index):
         weights = memory_weights(np.linspace(0.0, 0.8, 5))
         return np.concatenate(
             [
@@ -127,8 +127,8 @@ def test_every_value_is_computed_alone_with_the_digits_it_has_in_any_order():
         )
 
     order = [0, 1, 63, 64, 65, 127, 128, 424]
-    forth = {index: told(index) for index in order}
+    forth = {index: values_of(index) for index in order}
     for drawn in DRAWN:
         drawn.cache_clear()  # as a new process would begin
     for index in reversed(order):
-        np.testing.assert_array_equal(told(index), forth[index])
+        np.testing.assert_array_equal(values_of(index), forth[index])

@@ -120,7 +120,7 @@ def test_temperature_has_a_day_and_a_slow_wander():
     assert not np.allclose(readings, [temperature(DRIFT, seed=2).at(h) for h in hours], rtol=0.0, atol=0.1)
 
 
-def test_the_wander_has_the_standard_deviation_asked_for():
+def test_the_slow_drift_has_the_configured_standard_deviation():
     still = replace(DRIFT, diurnal_amplitude_k=0.0)
     readings = np.array(
         [temperature(still, seed=s).at(100.0) - still.mean_temperature_c for s in range(2_000)]

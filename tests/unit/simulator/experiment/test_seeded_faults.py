@@ -99,7 +99,7 @@ def drawn(faults, n=1_000, hour_h=1.0, seed=1):
 
 
 def assert_rate(hits, probability):
-    """Check that the seeded draws lie in the interval that holds all but 1e-4 of binomial counts."""
+    """Check that seeded draws are in the interval that holds all but 1e-4 of binomial counts."""
     low, high = stats.binom.interval(1.0 - 1e-4, len(hits), probability)
     assert low <= sum(hits) <= high
 
@@ -153,17 +153,17 @@ def test_before_its_onset_a_fault_changes_no_bit_and_then_it_does(specimen, name
     assert late is None or not np.array_equal(late.waveform.counts, plain.waveform.counts)
 
 
-def test_a_neighbour_s_faults_are_not_felt(specimen):
+def test_the_faults_of_a_neighbour_have_no_effect(specimen):
     faults = {name: fault for name, (fault, _) in ACTIVE.items()}
     plain = specimen(TwinParameters()).solitary_wave(key(position="D"), YEAR_H)
-    beside = specimen(TwinParameters(), **faults).solitary_wave(key(position="D"), YEAR_H)
-    np.testing.assert_array_equal(beside.waveform.counts, plain.waveform.counts)
+    with_faults = specimen(TwinParameters(), **faults).solitary_wave(key(position="D"), YEAR_H)
+    np.testing.assert_array_equal(with_faults.waveform.counts, plain.waveform.counts)
 
 
 # ---- truth and determinism
 
 
-def test_every_fault_is_tried_here():
+def test_every_fault_of_the_double_is_tested():
     assert set(ACTIVE) == {field.name for field in fields(FaultParameters)}
 
 
@@ -224,16 +224,16 @@ def test_a_shot_goes_on_to_draw_what_it_would_draw_without_its_faults(specimen):
 # ---- each fault's own physics
 
 
-def test_missed_strikes_leave_no_record_and_are_told_again_from_the_seed(specimen):
+def test_missed_strikes_leave_no_record_and_repeat_with_the_seed(specimen):
     fault = ACTIVE["missed"][0]
     faulty = specimen(NOISY, missed=fault)
-    told = [shot.missed for shot in drawn(FaultParameters(missed=fault), 100)]
+    missed = [shot.missed for shot in drawn(FaultParameters(missed=fault), 100)]
     none = [faulty.solitary_wave(key(k % 10, k // 10), 1.0) is None for k in range(100)]
-    assert none == told
+    assert none == missed
     assert_rate([shot.missed for shot in drawn(FaultParameters(missed=fault))], 0.3)
 
 
-def test_a_repeated_strike_is_drawn_anew():
+def test_a_repeated_strike_draws_new_random_values():
     faults = FaultParameters(missed=MissedStrikeFault(probability=0.5))
     again = [faults_of_shot(faults, seed=1, key=key(k, attempt=1), hour_h=1.0).missed for k in range(50)]
     assert again != [faults_of_shot(faults, seed=1, key=key(k), hour_h=1.0).missed for k in range(50)]
@@ -405,7 +405,7 @@ def test_hum_is_a_sinusoid_of_its_frequency_and_phase():
     np.testing.assert_allclose(volts, 0.3 * np.sin(2 * np.pi * 60.0 * t + 1.0), atol=1e-15)
 
 
-def test_the_phase_of_the_hum_is_anybody_s_guess_at_every_strike(specimen):
+def test_the_phase_of_the_hum_is_random_at_every_strike(specimen):
     made = specimen(mains_hum=MainsHumFault(amplitude_v=0.1))
     records = [made.solitary_wave(key(k % 10, k // 10), 0.0) for k in range(100)]
     turns = [record.truth["fault_mains_hum_phase_rad"] / (2.0 * np.pi) for record in records]
@@ -427,7 +427,7 @@ def test_a_spike_at_the_record_s_edge_is_drawn_as_far_as_it_reaches():
     whole, part = interference(**spike).volts(-1e-5, 1e7, 1_200), interference(**spike).volts(0.0, 1e7, 1_001)
     # Where one ends a sample sooner than the other, 2e-11 of its height is left (`SPIKE_REACH_FWHM`).
     np.testing.assert_allclose(part, whole[100:1_101], rtol=1e-9, atol=2e-11)
-    assert part[0] == pytest.approx(0.5, rel=1e-9)  # half a width beside its peak
+    assert part[0] == pytest.approx(0.5, rel=1e-9)  # half a width from its peak
 
 
 def test_spikes_come_at_their_rate_and_with_either_sign(specimen):
@@ -440,12 +440,12 @@ def test_spikes_come_at_their_rate_and_with_either_sign(specimen):
 
 def test_a_spike_takes_the_trigger_as_often_as_one_comes_first(specimen):
     made = specimen(spikes=SpikesFault(rate_hz=10.0, height_v=2.0, armed_s=0.1))
-    early, told = [], []
+    early, false_triggers = [], []
     for k in range(200):
         truth = made.solitary_wave(key(k % 10, k // 10), 0.0).truth
         early.append(truth["trigger_time_s"] < 0.0)
-        told.append(truth["fault_false_triggers"] > 0.0)
-    assert early == told
+        false_triggers.append(truth["fault_false_triggers"] > 0.0)
+    assert early == false_triggers
     assert_rate(early, 1.0 - math.exp(-0.5 * 10.0 * 0.1))  # every other one rises
 
 

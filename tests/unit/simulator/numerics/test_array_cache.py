@@ -50,7 +50,7 @@ def test_kept_arrays_are_read_and_not_computed(tmp_path):
     assert_same_bits(first, ARRAYS)
     again = cached_arrays(tmp_path / "new" / "folder", "key", never)
     assert_same_bits(again, ARRAYS)
-    again["cube"][0, 0, 0] = 5.0  # whoever gets them may change them
+    again["cube"][0, 0, 0] = 5.0  # the caller may change them
 
 
 def test_without_a_folder_nothing_is_kept(tmp_path, monkeypatch):
@@ -108,7 +108,7 @@ def test_a_full_disk_leaves_no_half_file(tmp_path, monkeypatch, caplog):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_file_that_a_reader_holds_on_windows_is_left_without_a_word(tmp_path, monkeypatch, caplog):
+def test_a_file_held_open_on_windows_is_skipped_silently(tmp_path, monkeypatch, caplog):
     write_arrays(tmp_path / "key.arrays", ARRAYS)
 
     def held(*_):
@@ -121,7 +121,7 @@ def test_a_file_that_a_reader_holds_on_windows_is_left_without_a_word(tmp_path, 
     assert [path.name for path in tmp_path.iterdir()] == ["key.arrays"]
 
 
-def test_what_a_killed_writer_left_is_swept_by_whoever_looks_later(tmp_path):
+def test_the_leftovers_of_a_killed_writer_are_swept_by_the_next_reader(tmp_path):
     cached_arrays(tmp_path, "key", lambda: ARRAYS)
     names = ("fresh.part", "old.part", "mine.txt")
     for name in names:

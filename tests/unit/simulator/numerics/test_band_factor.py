@@ -43,6 +43,6 @@ def test_every_member_of_a_family_is_solved(first, s):
     np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=1e-9)
 
 
-def test_what_is_not_positive_definite_is_refused():
+def test_a_matrix_that_is_not_positive_definite_is_rejected():
     with pytest.raises(np.linalg.LinAlgError, match="pivot 3"):
         band_factor(lower_band(sparse.diags([1.0, 1.0, -1.0], format="csc")))

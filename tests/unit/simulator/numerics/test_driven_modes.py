@@ -79,16 +79,16 @@ def test_modes_hidden_by_rounding_stay_as_compliance():
     ],
     ids=["stiffness", "one mass", "both masses", "not a number"],
 )
-def test_what_is_no_structure_is_refused(stiffness, mass):
+def test_invalid_stiffness_and_mass_are_refused(stiffness, mass):
     with pytest.raises(np.linalg.LinAlgError):
         driven_modes(stiffness, mass, 1.0, 2)
 
 
 def test_the_compiled_ql_is_the_one_in_python():
-    diagonal, beside = np.geomspace(1e-12, 1.0, 20), np.append(np.geomspace(1e-11, 0.1, 19), 0.0)
-    expected = linalg.eigh_tridiagonal(diagonal, beside[:-1])
+    diagonal, off_diagonal = np.geomspace(1e-12, 1.0, 20), np.append(np.geomspace(1e-11, 0.1, 19), 0.0)
+    expected = linalg.eigh_tridiagonal(diagonal, off_diagonal[:-1])
     for ql in (module._tridiagonal_ql, module._tridiagonal_ql.py_func):
-        d, e, z = diagonal.copy(), beside.copy(), np.eye(20)[-1].copy()
+        d, e, z = diagonal.copy(), off_diagonal.copy(), np.eye(20)[-1].copy()
         assert ql(d, e, z)
         order = np.argsort(d)
         np.testing.assert_allclose(d[order], expected[0], atol=1e-15)

@@ -20,12 +20,12 @@ def test_lanczos_makes_the_operator_tridiagonal(matrices):
     stiffness, mass = matrices
     factor = band_factor(lower_band(stiffness + SHIFT_RAD_PER_S**2 * mass))
     vectors = np.empty((40, len(PLATE.load)))
-    diagonal, beside = lanczos(lambda x: band_solve(factor, x), lambda x: mass @ x, PLATE.load, vectors)
+    diagonal, off_diagonal = lanczos(lambda x: band_solve(factor, x), lambda x: mass @ x, PLATE.load, vectors)
     # Rounding grows for a few steps between reorthogonalisations.
     np.testing.assert_allclose(vectors @ (mass @ vectors.T), np.eye(40), atol=1e-8)
     images = np.array([band_solve(factor, mass @ vector) for vector in vectors])
     operator = images @ (mass @ vectors.T)
-    expected = np.diag(diagonal) + np.diag(beside, 1) + np.diag(beside, -1)
+    expected = np.diag(diagonal) + np.diag(off_diagonal, 1) + np.diag(off_diagonal, -1)
     np.testing.assert_allclose(operator, expected, atol=1e-8 * diagonal.max())
     first = band_solve(factor, PLATE.load)
     np.testing.assert_allclose(vectors[0], first / np.sqrt(first @ (mass @ first)), rtol=1e-12)

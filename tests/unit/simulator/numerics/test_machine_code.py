@@ -1,11 +1,11 @@
-"""What is compiled is told, once, and not what others of it need."""
+"""Each compilation is reported once, without those it needs."""
 
 import numba
 
 from simulator.numerics.machine_code import compilation_reported
 
 
-def test_a_compilation_is_told_when_it_begins_and_ends_and_only_then() -> None:
+def test_a_compilation_is_reported_at_its_start_and_end_only() -> None:
     @numba.njit  # nothing is kept on disk: a second run of the tests compiles again
     def inner(x):
         return x + 1.0
@@ -14,10 +14,10 @@ def test_a_compilation_is_told_when_it_begins_and_ends_and_only_then() -> None:
     def outer(x):
         return 2.0 * inner(x)
 
-    told: list[bool] = []
-    with compilation_reported(told.append):
+    reports: list[bool] = []
+    with compilation_reported(reports.append):
         assert outer(1.0) == 4.0
-        assert told == [True, False], "the inner loop is compiled for the outer one"
+        assert reports == [True, False], "the inner loop is compiled for the outer one"
         assert outer(2.0) == 6.0
     assert outer(1) == 4.0
-    assert told == [True, False], "nothing new, or nobody listens"
+    assert reports == [True, False], "nothing new, or nobody listens"

@@ -15,7 +15,7 @@ def test_words_are_those_of_numpy(n, n_words, dtype):
         np.testing.assert_array_equal(SeedWords(words).generate_state(n_words, dtype), expected)
 
 
-def test_a_generator_takes_them():
+def test_a_generator_accepts_the_seed_words():
     words = np.array([1, 5, 0, 2**32 - 1, 7], dtype=np.uint32)
     ours, numpys = (
         np.random.Generator(np.random.SFC64(seed))

@@ -48,7 +48,7 @@ from simulator.plate.mindlin.cache import reduction_key
         (CorrosionParameters, {"further": (PatchParameters(),) * 33}, "further has 33 patches; at most 32"),
     ],
 )
-def test_a_plate_that_cannot_be_is_named(parameters, values, message):
+def test_an_impossible_plate_is_named(parameters, values, message):
     with pytest.raises(ValueError, match=message):
         parameters(**values)
 

@@ -102,7 +102,7 @@ def by_arrays(force):
     return isw, pulse[np.argmax(height[pulse])]
 
 
-def test_one_pass_finds_what_arrays_of_all_maxima_tell():
+def test_one_pass_equals_the_search_in_all_maxima():
     random = np.random.default_rng(5)
     reflected = 0
     for _ in range(300):

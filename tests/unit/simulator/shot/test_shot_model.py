@@ -125,7 +125,7 @@ def test_hole_has_the_same_isw_and_no_reflected_wave(model):
     assert hole.preload_n == solid.preload_n
     assert hole.reflection_time_s is None
     assert hole.energy_residual <= shot_model.ENERGY_TOLERANCE
-    # Nobody can tell before the wave has been to the plate; its foremost tail decays exponentially.
+    # Nothing is known before the wave has been to the plate; its foremost tail decays exponentially.
     early = hole.time_s < 200e-6
     np.testing.assert_allclose(hole.force_n[early], solid.force_n[early], atol=1e-6)
     assert np.max(hole.force_n[hole.time_s > 420e-6]) < 0.05 * np.max(hole.force_n)

@@ -202,7 +202,7 @@ def test_a_depth_out_of_bounds_is_refused():
         reflect(ChainParameters(), PlateParameters(), depth_fraction=0.96)
 
 
-def test_what_the_model_has_not_does_not_count():
+def test_unsupported_parameters_are_ignored():
     plain = reflect(ChainParameters(), PlateParameters())
     other = reflect(
         ChainParameters(sensor="sphere", tilt_rad=0.02, damping_n_s_per_m=0.0, gravity_m_per_s2=0.0),
@@ -225,6 +225,6 @@ def test_unlike_spheres_are_refused_and_warm_ones_are_softer():
         (ChainParameters(), PlateParameters(liquid=LiquidParameters(depth_m=0.1)), "plate.liquid"),
     ],
 )
-def test_what_the_model_does_not_know_is_refused(chain, plate, key):
+def test_parameters_that_the_model_does_not_support_are_refused(chain, plate, key):
     with pytest.raises(SpecimenError, match=f"{key}.*take it out, or use the coupled model"):
         reflect(chain, plate)

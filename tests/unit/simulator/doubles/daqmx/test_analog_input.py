@@ -64,7 +64,7 @@ def test_codes_and_volts_are_the_twin_s_bit_for_bit(brain, me, position, shot):
     wide = me("GetChanAttribute", task, attribute=RAW_SIZE)["value"] == 32
     codes = read(me, task, wide)
 
-    # The twin by itself, told only the figures of the board's kind.
+    # The twin by itself, with only the figures of the board's kind.
     wiring = brain.bench.description.transducers[position]
     adc = AdcParameters(resolution_bits=resolution)
     specimen = build_specimen(
@@ -96,7 +96,7 @@ def test_without_announcements_strikes_are_counted_into_sets(brain, me):
     assert keys == [*((0, index) for index in range(10)), (1, 0)]
 
 
-def test_a_strike_that_was_called_off_is_not_counted(brain, me):
+def test_a_cancelled_strike_is_not_counted(brain, me):
     coil = me.coil("PXI1Slot3/ctr0")
     me("StartTask", coil)
     with pytest.raises(Status, match="200010"):
@@ -276,7 +276,7 @@ def test_a_range_beyond_the_board_is_refused(me):
         ({"level": -0.1}, -200077),
     ],
 )
-def test_records_and_triggers_that_cannot_be(me, changes, code):
+def test_impossible_records_and_triggers_are_refused(me, changes, code):
     task = me.digitizer("PXI1Slot3/ai0", **changes)
     with pytest.raises(Status) as caught:
         me("StartTask", task)
@@ -290,7 +290,7 @@ def test_a_trigger_on_a_channel_outside_the_task_is_refused(me):
         me("StartTask", task)
 
 
-def test_the_least_limit_must_be_the_lesser_one(me):
+def test_the_minimum_limit_must_be_the_smaller_one(me):
     task = me("CreateTask")["task"]
     with pytest.raises(Status, match="-200082"):
         me("CreateAIVoltageChan", task, physical_channel="Dev1/ai0", min_val=1.0, max_val=1.0)

@@ -164,7 +164,7 @@ def test_a_terminal_is_let_go_unless_a_route_needs_it(brain, me):
         ({"source_terminal": "/Dev1/PFI0", "destination_terminal": "/Dev9/PFI1"}, -200041),
     ],
 )
-def test_routes_between_what_is_not_there_are_refused(me, ends, code):
+def test_routes_between_missing_terminals_are_refused(me, ends, code):
     with pytest.raises(Status) as caught:
         me("ConnectTerms", **ends, signal_modifiers=0)
     assert caught.value.code == code

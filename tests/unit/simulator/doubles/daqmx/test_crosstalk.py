@@ -152,15 +152,15 @@ def test_a_wave_that_comes_during_the_delay_is_not_recorded(brain, me):
         volts_of(me, task, timeout=0.5)
 
 
-def test_an_acquisition_that_waits_for_the_falling_edge_does_not_hear_the_rising_one(brain, me):
+def test_an_acquisition_armed_for_the_falling_edge_ignores_the_rising_edge(brain, me):
     task = free(me, 100)
     start_by(me, task)
     coil = shot(me, task)
-    begun_ns = brain.bench.clock.now_ns()
+    start_ns = brain.bench.clock.now_ns()
     me("WaitUntilTaskDone", task, time_to_wait=1.0)
     low = brain.record()["lines"][-1]
     assert low["level"] == 0
-    assert brain.bench.clock.now_ns() == low["ns"] + 10_000 > begun_ns + 3_000_000
+    assert brain.bench.clock.now_ns() == low["ns"] + 10_000 > start_ns + 3_000_000
     me("ClearTask", coil)
 
 
@@ -182,8 +182,8 @@ def test_a_pulse_that_is_stopped_starts_at_its_own_end_or_never(brain, me, passe
         assert brain.bench.clock.now_ns() - stopped_ns == round(done_after_s * 1e9)
 
 
-def test_a_wave_upon_crosstalk_is_told_apart_and_keeps_its_shape():
-    """What is left of the ringing when the wave comes moves the trigger and adds to the volts, no more."""
+def test_a_wave_on_crosstalk_is_separated_and_keeps_its_shape():
+    """What is left of the ringing when the wave comes moves the trigger and adds to the volts only."""
     records = []
     for crosstalk in ({}, {"off_v": 0.2, "decay_s": 20e-3}):
         brain = made()
@@ -228,7 +228,7 @@ def test_flyback_and_bounces_are_drawn_where_they_belong(brain, me):
     np.testing.assert_allclose(volts[off : off + 10_000], ramp, atol=CODE_V)
 
 
-def test_a_pulse_too_short_to_lift_is_heard_all_the_same(brain, me):
+def test_a_pulse_too_short_to_lift_the_striker_is_recorded(brain, me):
     brain.disturb("C", {"on_v": 1.0, "decay_s": 1e-4})
     task = me.digitizer(f"{NAME}/ai0")
     coil = me.coil(f"{NAME}/ctr0", high_time=0.2e-3)

@@ -34,7 +34,7 @@ def names(me):
     return me("GetSystemInfoAttribute", attribute=DEVICE_NAMES)["value"]
 
 
-def test_the_first_call_after_unplugging_says_why_later_ones_that_it_is_over(brain, me):
+def test_the_first_call_after_unplugging_returns_the_reason_and_later_ones_a_lost_device(brain, me):
     task = me.digitizer(INPUT)
     me("StartTask", task)
     brain.unplug(SERIAL)
@@ -76,7 +76,7 @@ def test_a_board_comes_back_under_another_name_with_its_serial_number(brain, me)
     me("StartTask", me.digitizer("Dev7/ai0"))
 
 
-def test_a_board_nobody_knows_has_no_name(me):
+def test_an_unknown_board_has_no_name(me):
     assert code_of(me, "GetDeviceAttribute", device_name="Dev99", attribute=SERIAL_NUMBER) == -200220
 
 
@@ -123,7 +123,7 @@ def test_self_calibration_changes_the_polynomial_and_its_date(brain, me):
     assert me("GetCalInfoAttribute", device_name=BOARD, attribute=0x1864)["value"] == 38.5
 
 
-def test_self_calibration_waits_for_nobody(brain, me):
+def test_self_calibration_fails_while_a_task_reserves_the_board(brain, me):
     me.control(me.digitizer(INPUT, name="digitizer C"), COMMIT)
     with pytest.raises(Status, match="digitizer C") as caught:
         Caller(brain)("SelfCal", device_name=BOARD)
@@ -220,7 +220,7 @@ def test_each_line_goes_to_its_own_state(brain, me):
     assert watched_lines(brain, me, names, states) == [f"{SERIAL}/PFI1"]
 
 
-def test_a_counter_is_cut_at_the_line_its_pulse_leaves_through_and_does_not_know(brain, me):
+def test_an_expired_watchdog_cuts_the_output_line_of_a_counter(brain, me):
     line_watchdog(me, f"{BOARD}/port2/line4", [LOW])
     coil = me.coil(COUNTER, initial_delay=0.0, high_time=2.0)
     me("StartTask", coil)
@@ -268,7 +268,7 @@ def test_a_reset_takes_low_what_expiry_took_high(brain, me):
 )
 def test_a_watchdog_guards_lines_of_its_own_board_only(brain, me, names, states, code):
     assert code_of(line_watchdog, me, names, states) == code
-    # The task is there and was told nothing: it guards nothing.
+    # The task exists without settings: it guards nothing.
     (task,) = brain.bench.tasks
     me("StartTask", task)
     brain.bench.clock.pass_s(1.0)
@@ -280,7 +280,7 @@ def test_lines_are_guarded_by_watchdog_tasks_only(me):
     assert code_of(me, "CfgWatchdogDOExpirStates", me.coil(COUNTER), **arguments) == -200635
 
 
-def test_expiry_is_told_only_while_the_watchdog_is_reserved(me):
+def test_expiry_is_readable_only_while_the_watchdog_is_reserved(me):
     watch = watchdog(me)
     assert me("GetWatchdogAttribute", watch, attribute=EXPIRED)["value"] == 0
     me("StopTask", watch)
@@ -292,7 +292,7 @@ def test_a_watchdog_runs_34_seconds_at_most(me, timeout_s, code):
     assert code_of(watchdog, me, timeout_s) == code
 
 
-def test_boards_without_a_watchdog_say_so(me):
+def test_boards_without_a_watchdog_are_reported(me):
     arguments = {"device_name": "PXI1Slot4", "session_name": "", "timeout": 1.0}
     assert code_of(me, "CreateWatchdogTimerTaskEx", **arguments) == -200662
 

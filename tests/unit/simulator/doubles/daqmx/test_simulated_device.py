@@ -29,7 +29,7 @@ def me(brain):
     return Caller(brain)
 
 
-def test_it_says_that_it_is_simulated_and_has_no_calibration_to_tell_of(me):
+def test_a_simulated_device_reports_itself_and_has_no_calibration(me):
     assert me("GetDeviceAttribute", device_name=BOARD, attribute=IS_SIMULATED)["value"] == 1
     assert me("GetDeviceAttribute", device_name=BOARD, attribute=SERIAL_NUMBER)["value"] == 0
     assert me("GetCalInfoAttribute", device_name=BOARD, attribute=LAST_TEMPERATURE)["value"] == 0.0

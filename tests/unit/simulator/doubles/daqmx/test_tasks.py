@@ -59,7 +59,7 @@ def test_a_start_from_nothing_verifies_and_releases_again(brain, me):
     assert brain.record()["reservations"] == {}
 
 
-def test_stopping_what_is_done_or_never_ran_is_no_warning(brain, me):
+def test_stopping_a_finished_or_unstarted_task_gives_no_warning(brain, me):
     task = me.coil(COUNTER)
     me("StopTask", task)
     me("StartTask", task)
@@ -158,17 +158,17 @@ def test_a_task_takes_one_channel(brain, me):
         ("", -200220),
     ],
 )
-def test_channels_that_are_not_there(brain, me, name, code):
+def test_missing_channels_are_refused(brain, me, name, code):
     task = me("CreateTask")["task"]
     refused(code, me, "CreateAIVoltageChan", task, physical_channel=name)
 
 
-def test_the_last_channel_made_is_told(brain, me):
+def test_the_last_channel_is_returned(brain, me):
     me.digitizer(f"{BOARD}/ai5")
     assert me("InternalGetLastCreatedChan")["value"] == f"{BOARD}/ai5"
 
 
-def test_what_is_not_there_is_not_in_the_task(brain, me):
+def test_missing_channels_and_attributes_are_refused(brain, me):
     task = me.digitizer(INPUT)
     refused(-200486, me, "GetChanAttribute", task, channel=f"{BOARD}/ai3", attribute=0x1815)
     refused(-200233, me, "GetChanAttribute", task, attribute=0x1344)

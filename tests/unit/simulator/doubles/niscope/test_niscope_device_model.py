@@ -187,7 +187,7 @@ def test_a_trigger_delay_moves_the_echo():
         each("InitiateAcquisition")
     (records, _), (shifted, described) = usual.fetch(), delayed.fetch()
     assert described[0][1] == late * 1e-8
-    # The shifted time axis is rounded anew: a code may flip where the voltage is half-way between two.
+    # The shifted time axis is rounded again: a code may flip where the voltage is half-way between two.
     assert np.abs(records[0, late:].astype(int) - shifted[0, :-late]).max() <= 4
 
 
@@ -241,7 +241,7 @@ def timing(**changes):
         ("Abort", {"vi": 99}, INVALID_SESSION),
     ],
 )
-def test_what_cannot_be_is_refused_by_its_number(scope, name, arguments, code):
+def test_an_invalid_call_is_refused_with_its_number(scope, name, arguments, code):
     with refused(code):
         scope(name, **arguments)
     assert scope("error_message", error_code=code)["error_message"] == MESSAGES[code]
@@ -278,7 +278,7 @@ def test_a_board_belongs_to_one_session(scope):
     Scope(brain).open()
 
 
-def test_a_client_that_dies_leaves_nothing_reserved_but_is_told_of(scope):
+def test_a_client_that_dies_is_reported_and_leaves_nothing_reserved(scope):
     assert scope.brain.open_sessions() == [("1", "PXI1Slot4")]
     assert scope.brain.client_gone("1") == ["PXI1Slot4"]
     assert scope.brain.open_sessions() == []

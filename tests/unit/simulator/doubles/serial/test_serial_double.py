@@ -46,7 +46,7 @@ def test_noise_belongs_to_the_seed_and_has_its_size():
     assert spread == pytest.approx(1e-3, rel=0.15)  # four standard errors: 4 / sqrt(2 * 399)
 
 
-def test_it_keeps_its_ratings_and_says_what_it_does_not_know(supply):
+def test_the_supply_keeps_its_ratings_and_rejects_unknown_commands(supply):
     for command, entry in (
         ("VOLT 31", '-222,"Data out of range"'),
         ("CURR 5.1", '-222,"Data out of range"'),
@@ -72,7 +72,7 @@ def test_a_tripped_protection_keeps_it_off_until_cleared(supply):
     assert supply.on
 
 
-def test_its_record_tells_who_switched(supply):
+def test_the_record_of_the_double_names_who_switched(supply):
     supply.press_output_key(False)
     supply.press_output_key(False)
     supply.answer("OUTP ON")

@@ -66,7 +66,7 @@ def test_each_command_reaches_the_brain(served):
     assert control.record()["calls"] == []
 
 
-def test_it_waits_until_every_striker_has_landed(served):
+def test_the_rig_waits_until_every_striker_has_landed(served):
     brain, _, control = served
     assert control.wait_until_quiet(0.0) is True
     now_ns = brain.bench.clock.now_ns()
@@ -90,7 +90,7 @@ def test_it_waits_until_every_striker_has_landed(served):
         ("[1]", "TypeError|ValueError"),
     ],
 )
-def test_nonsense_is_answered_and_the_channel_goes_on(served, request_text, reason):
+def test_an_invalid_message_is_answered_and_the_channel_continues(served, request_text, reason):
     *_, control = served
     control._socket.sendall(request_text.encode() + b"\n")
     answer = json.loads(control._file.readline())
@@ -137,7 +137,7 @@ def test_a_fault_of_the_double_names_itself(served, monkeypatch):
     assert "DAQmxCreateTask failed inside the double: ZeroDivisionError" in text
 
 
-def test_a_peer_that_talks_nonsense_is_dropped(served):
+def test_a_peer_that_sends_invalid_data_is_disconnected(served):
     _, library, control = served
     with connect(library) as connection:
         wire.send_frame(connection, b"\x05\x00nonse")
@@ -148,7 +148,7 @@ def test_a_peer_that_talks_nonsense_is_dropped(served):
 # The process
 
 
-def test_it_says_where_it_is_and_ends_with_its_standard_input(tmp_path):
+def test_the_double_prints_its_address_and_ends_with_its_standard_input(tmp_path):
     (tmp_path / "description.json").write_text(to_json(DESCRIPTION), encoding="utf-8")
     process = subprocess.Popen(
         [
@@ -179,7 +179,7 @@ def test_a_killed_double_is_reported(served):
     assert another.record()["tasks"] == []
 
 
-def test_a_double_that_does_not_start_says_so(monkeypatch):
+def test_a_double_that_does_not_start_reports_it(monkeypatch):
     monkeypatch.setattr("simulator.doubles.transports.control.to_json", lambda description: '{"boards": 5}')
     with pytest.raises(DoublesProcessError, match="ended with code 1"), running_doubles(DESCRIPTION):
         pytest.fail("it started")

@@ -39,7 +39,7 @@ VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}
 
 
 class Script:
-    """A brain that answers as told and keeps what it was asked."""
+    """A brain with scripted answers that records its calls."""
 
     def __init__(self) -> None:
         self.calls: list[tuple[str, Mapping[str, Any]]] = []
@@ -164,7 +164,7 @@ def test_a_warning_is_no_error(script, task):
     task.stop()
 
 
-def test_a_short_read_tells_how_many_samples_came(script, task):
+def test_a_short_read_returns_the_number_of_samples(script, task):
     task.ai_channels.add_ai_voltage_chan("PXI1Slot2/ai0")
     script.answers["DAQmxReadBinaryI16"] = Status(
         -200284, values={"read_array": np.zeros(10, dtype=np.int16), "samps_per_chan_read": 7}
@@ -177,7 +177,7 @@ def test_a_short_read_tells_how_many_samples_came(script, task):
     assert not buffer.any()
 
 
-def test_a_read_that_got_nothing_is_an_error_like_any_other(script, task):
+def test_a_read_without_samples_is_an_error(script, task):
     task.ai_channels.add_ai_voltage_chan("PXI1Slot2/ai0")
     script.answers["DAQmxReadBinaryI16"] = Status(-200279)
     with pytest.raises(DaqError) as raised:
@@ -185,7 +185,7 @@ def test_a_read_that_got_nothing_is_an_error_like_any_other(script, task):
     assert raised.value.error_code == -200279
 
 
-def test_what_the_double_does_not_know_is_unimplemented(task):
+def test_unknown_calls_are_unimplemented(task):
     with pytest.raises(RpcError) as raised:
         task.timing.cfg_handshaking_timing()
     assert raised.value.rpc_code == grpc.StatusCode.UNIMPLEMENTED
@@ -298,7 +298,7 @@ sys.stdin.read()
 """
 
 
-def test_what_a_killed_client_held_stays_held_until_somebody_attaches_and_clears():
+def test_tasks_of_a_killed_client_stay_reserved_until_cleared():
     brain = Brain(Description(boards=(SIMULTANEOUS_16_BIT,)))
     front = GrpcFront(partial(brain.call, brain.open_client("grpc", "server")))
     command = [sys.executable, "-c", CLIENT_WITH_A_RECORD, front.address]
@@ -324,7 +324,7 @@ def test_what_a_killed_client_held_stays_held_until_somebody_attaches_and_clears
         front.close()
 
 
-def test_a_hung_call_ends_at_the_client_s_deadline_and_blocks_nobody(script, channel):
+def test_a_hung_call_ends_at_the_client_s_deadline_and_blocks_no_other_call(script, channel):
     release, entered = threading.Event(), threading.Event()
 
     def hang(function, arguments):
@@ -360,7 +360,7 @@ def test_a_server_that_is_gone_is_unavailable(script):
     assert raised.value.rpc_code == grpc.StatusCode.UNAVAILABLE
 
 
-def test_an_address_that_is_taken_is_refused(script):
+def test_an_address_in_use_is_refused(script):
     front = GrpcFront(script)
     try:
         with pytest.raises(DoublesError, match=front.address):
@@ -369,7 +369,7 @@ def test_an_address_that_is_taken_is_refused(script):
         front.close()
 
 
-def test_without_grpc_it_says_what_to_install(script, monkeypatch):
+def test_without_grpc_the_package_to_install_is_named(script, monkeypatch):
     monkeypatch.setattr(grpc_front, "_is_installed", lambda name: name != "grpc")
     with pytest.raises(DoublesError, match=r'grpc not installed: python -m pip install "solimon\[grpc\]"'):
         GrpcFront(script)

@@ -1,4 +1,4 @@
-"""Building the C library: once, whole, whoever else builds; a clear remedy where it cannot be."""
+"""Building the C library: once and completely, also in parallel; a clear remedy on failure."""
 
 import os
 import subprocess
@@ -22,7 +22,7 @@ needs_compiler = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavaila
 
 
 @needs_compiler
-def test_it_is_built_once(tmp_path, monkeypatch):
+def test_the_library_is_built_once(tmp_path, monkeypatch):
     folder = build_library("nidaqmx", tmp_path)
     monkeypatch.setattr(library, "_compile", lambda *_: pytest.fail("built again"))
     assert build_library("nidaqmx", tmp_path) == folder
@@ -84,7 +84,7 @@ def test_the_source_compiles_without_a_warning(tmp_path):
     for name in ("nidaqmx", "niScope"):
         written.write_text(library_source(name), encoding="utf-8")
         checked = subprocess.run(
-            # A reserved pointer is a parameter that nobody uses; attributes are NI-DAQmx's only.
+            # A reserved pointer is an unused parameter; attributes are NI-DAQmx's only.
             [
                 "cc",
                 "-std=gnu11",
@@ -125,7 +125,7 @@ def test_missing_tools_are_named_with_the_remedy(tmp_path, monkeypatch, tools, r
         build_library("nidaqmx", tmp_path / "cache")
 
 
-def test_elsewhere_than_on_linux_it_says_so(monkeypatch, tmp_path):
+def test_other_systems_than_linux_are_reported(monkeypatch, tmp_path):
     monkeypatch.setattr(library.sys, "platform", "win32")
     with pytest.raises(LibraryBuildError, match="Linux only"):
         build_library("nidaqmx", tmp_path)
@@ -161,7 +161,7 @@ def test_a_description_survives_json(make):
         ('"boards"', '"planks"', "planks"),
     ],
 )
-def test_a_description_that_cannot_be_says_why(old, new, reason):
+def test_an_impossible_description_is_refused_with_its_reason(old, new, reason):
     text = to_json(one_board_description())
     assert old in text
     with pytest.raises(ValueError, match=reason):

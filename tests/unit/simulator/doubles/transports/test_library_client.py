@@ -187,7 +187,7 @@ def test_attributes_of_every_type_are_set_and_read_back(meeting):
         assert channel.co_pulse_term == "/PXI1Slot3/PFI5"
 
 
-def test_what_the_double_does_not_answer_is_refused_by_the_package_or_by_its_number(meeting):
+def test_unsupported_calls_are_refused_by_the_package_or_with_their_number(meeting):
     with digitizer() as ai:
         with pytest.raises(DaqFunctionNotSupportedError, match="DAQmxIsTaskDone"):
             ai.is_task_done()
@@ -221,7 +221,7 @@ def test_a_read_that_comes_too_early_leaves_the_buffer_as_it_was(meeting):
             ai.stop()
 
 
-def test_an_ordered_status_arrives(meeting):
+def test_an_injected_status_is_returned(meeting):
     meeting.control.inject("DAQmxStartTask", "error", code=-88710)
     with coil() as co:
         with pytest.raises(DaqError) as caught:
@@ -289,7 +289,7 @@ def test_text_never_runs_over_its_room(meeting, double_library, room, status, fo
     assert text.raw[max(room, 1) :].startswith(b"xxxx")
 
 
-def test_an_attribute_that_nobody_knows_writes_nothing(meeting, double_library):
+def test_an_unknown_attribute_writes_nothing(meeting, double_library):
     library, number = c_library(double_library), ctypes.c_double(77.0)
     assert library.DAQmxGetDeviceAttribute(b"PXI1Slot3", 0x7FFF, ctypes.byref(number)) == -200233
     assert number.value == 77.0
@@ -355,7 +355,7 @@ def test_a_killed_process_leaves_nothing_driven(meeting, double_library):
     assert (leak["task"], leak["state"]) == ("the other's coil", "running")
 
 
-def test_a_forked_child_is_a_client_of_its_own(meeting):
+def test_a_forked_child_is_a_separate_client(meeting):
     with coil(name="parent's") as co:
         co.control(TaskMode.TASK_COMMIT)
         context = multiprocessing.get_context("fork")

@@ -69,7 +69,7 @@ def test_an_answer_arrives_as_it_was_given(entry):
 
 
 @ENTRIES
-def test_an_answer_without_values_says_so(entry):
+def test_an_answer_without_values_is_reported(entry):
     body = wire.encode_answer(entry, {}, -1, "", {})
     assert decode_answer(entry, {}, body) == (-1, "", {})
 

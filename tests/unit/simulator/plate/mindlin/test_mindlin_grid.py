@@ -31,8 +31,8 @@ def test_grid_has_every_line_and_grows_smoothly_from_the_contact(start_m, end_m,
         assert line in lines
     contact = int(np.flatnonzero(lines == 0.0)[0])
     # Part of the model: the elements at the contact are what was asked for.
-    beside = sizes[max(contact - 1, 0) : contact + 1]
-    np.testing.assert_allclose(beside, FIRST_M, rtol=1e-12)  # rounding
+    nearest_sizes = sizes[max(contact - 1, 0) : contact + 1]
+    np.testing.assert_allclose(nearest_sizes, FIRST_M, rtol=1e-12)  # rounding
     # Whole numbers of elements between given lines: neighbours differ by less than twice.
     assert np.max(np.abs(np.diff(np.log(sizes)))) < np.log(2.0)
 

@@ -1,4 +1,4 @@
-"""The reduced plate against the plate it stands for."""
+"""The reduced plate compared with the complete plate."""
 
 from dataclasses import replace
 

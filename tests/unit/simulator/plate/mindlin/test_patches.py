@@ -165,10 +165,10 @@ def test_symmetry_is_lost_with_the_contact_or_a_patch_off_the_middle():
     assert symmetric_axes(replace(PLATE, contact_x_m=0.02), PATCH) == (False, True)
     assert symmetric_axes(replace(PLATE, contact_y_m=0.02), PATCH) == (True, False)
     assert symmetric_axes(PLATE, replace(PATCH, offset_y_m=0.02)) == (True, False)
-    beside = PatchParameters(size_m=0.02, offset_x_m=0.06)
-    pair = (beside, replace(beside, offset_x_m=-0.06))
+    eccentric = PatchParameters(size_m=0.02, offset_x_m=0.06)
+    pair = (eccentric, replace(eccentric, offset_x_m=-0.06))
     assert symmetric_axes(PLATE, replace(PATCH, further=pair)) == (True, True)
-    unlike = (beside, replace(beside, offset_x_m=-0.06, depth_factor=0.5))
+    unlike = (eccentric, replace(eccentric, offset_x_m=-0.06, depth_factor=0.5))
     assert symmetric_axes(PLATE, replace(PATCH, further=unlike)) == (False, True)
 
 
@@ -222,12 +222,12 @@ def test_depth_factor_of_the_only_patch_rescales_the_depth():
     assert half != pytest.approx(dynamic_compliance(PLATE, PATCH, depth=0.8), rel=1e-2)
 
 
-def test_a_patch_beside_the_contact_counts_less_than_one_below_it():
-    below, beside, none = (
+def test_a_patch_next_to_the_contact_counts_less_than_one_below_it():
+    below, next_to_it, none = (
         dynamic_compliance(PLATE, replace(PATCH, offset_x_m=offset), depth=depth, frequency_hz=0.0)
         for offset, depth in ((0.0, 0.8), (0.06, 0.8), (0.06, 0.0))
     )
-    assert none < beside < 0.5 * (none + below)
+    assert none < next_to_it < 0.5 * (none + below)
 
 
 @pytest.mark.parametrize(
@@ -241,16 +241,16 @@ def test_a_patch_beside_the_contact_counts_less_than_one_below_it():
         ({"offset_y_m": -0.095, "size_m": 0.02}, r"along y, beyond its edge at 0.1 m"),
     ],
 )
-def test_patches_that_cannot_be_are_refused(further, message):
+def test_impossible_patches_are_refused(further, message):
     with pytest.raises(SpecimenError, match=message):
         build_plate(PLATE, replace(PATCH, further=(PatchParameters(**further),)))
 
 
 def test_touching_patches_are_no_overlap():
     """Squares side by side, circles side by side, and a circle beyond a square's corner."""
-    beside = replace(PATCH, further=(PatchParameters(size_m=0.03, offset_x_m=0.03),))
+    with_second = replace(PATCH, further=(PatchParameters(size_m=0.03, offset_x_m=0.03),))
     wide = CorrosionParameters(shape="rectangular", size_m=0.06, size_y_m=0.03, offset_x_m=0.015)
-    assert dynamic_compliance(PLATE, beside, whole=True) == pytest.approx(
+    assert dynamic_compliance(PLATE, with_second, whole=True) == pytest.approx(
         dynamic_compliance(PLATE, wide, whole=True), rel=0.02
     )  # the same hole in the plate; only the mesh differs
     for other in (
@@ -266,7 +266,7 @@ def test_touching_patches_are_no_overlap():
     build_plate(PLATE, disks)
 
 
-def test_contact_may_stand_beside_a_patch_but_not_on_its_edge():
+def test_contact_may_be_next_to_a_patch_but_not_on_its_edge():
     with pytest.raises(SpecimenError, match=r"lies 0.001 m from the contact, within its elements of 0.002 m"):
         build_plate(PLATE, replace(PATCH, offset_x_m=0.014))
     on_the_line = build_plate(PLATE, replace(PATCH, offset_x_m=0.015))  # an edge through the contact itself

@@ -207,7 +207,7 @@ def test_hertz_weights_are_a_unit_force_and_hold_its_moments():
         ({"width_m": 12.0, "height_m": 12.0}, {}, "at most 3000000 are possible: make"),
     ],
 )
-def test_what_the_model_does_not_know_is_refused(plate, patch, message):
+def test_parameters_that_the_model_does_not_support_are_refused(plate, patch, message):
     with pytest.raises(SpecimenError, match=message):
         build_solid_plate(replace(SMALL, **plate), replace(PATCH, **{"depth_fraction": 0.3, **patch}))
 
