@@ -247,11 +247,9 @@ def test_who_held_the_test_yesterday_is_found_by_three_clicks(service, open_page
     ]
     for who, what, moment in deeds:
         told = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
-        audit.tell(**told, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
+        audit.add(**told, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
     for _ in range(60):
-        audit.tell(
-            who="ann", what="release", role="admin", source="terminal", result="refused", why="no hold"
-        )
+        audit.add(who="ann", what="release", role="admin", source="terminal", result="refused", why="no hold")
     page = open_page(service.url)
     rows = page.locator("#audit tbody tr")
     clicks = [

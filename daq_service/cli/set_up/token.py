@@ -60,7 +60,7 @@ def _places(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
 
 
 def _told(audit: Audit, what: str, **arguments: Any) -> None:
-    audit.tell(who=user_name(), role=CLAIMED, source=TERMINAL, what=what, arguments=arguments, result="done")
+    audit.add(who=user_name(), role=CLAIMED, source=TERMINAL, what=what, arguments=arguments, result="done")
 
 
 def _shown(token: Token) -> dict[str, Any]:

@@ -120,7 +120,7 @@ class AccessPolicy:
         """Audit a refusal by its cause and the request's name alone: what was asked for may hold a token."""
         person: Person | None = scope.get("state", {}).get("person")
         await asyncio.to_thread(
-            self.audit.tell,
+            self.audit.add,
             who=person.name if person else "",
             role=person.role if person else "",
             source=address_of(scope),

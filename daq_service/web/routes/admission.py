@@ -76,7 +76,7 @@ def told(
     """Write into the audit what a person asked for."""
     context = context_at(connection)
     audit = context.doors.audit if what in OF_THE_DOORS else context.audit
-    audit.tell(
+    audit.add(
         who=person.name or claimed,
         role=person.role,
         source=address_of(connection.scope),

@@ -28,7 +28,7 @@ from daq_service.alarms.states import (
     reset,
 )
 from daq_service.archive import FolderSetReader, SetRecord, SetReference
-from daq_service.assessment.baseline_lifecycle import STEPS, planned
+from daq_service.assessment.baseline_lifecycle import STEPS, baseline_range
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import Catalogue, RecorderCatalogue
 from daq_service.catalogue.rows import (
@@ -208,7 +208,7 @@ class _Again:
             step = {name: getattr(told, name) for name in LIFE}
             self._again.restore([replace(present, **step)])
         else:  # a successor that begins: as many sets as a baseline has by these settings
-            its = planned(told.position, self._settings, self._again.baseline(told.position))
+            its = baseline_range(told.position, self._settings, self._again.baseline(told.position))
             last_set = told.first_set_index + its.last_set - its.first_set
             self._again.restore([replace(told, last_set_index=last_set)])
         self._ledger.renewed(told.position)

@@ -14,7 +14,7 @@ import click
 
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.archive import FolderSetReader
-from daq_service.assessment.baseline_lifecycle import planned
+from daq_service.assessment.baseline_lifecycle import baseline_range
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import AssessmentRow, FeatureRow
 from daq_service.cli.offline.evidence.changes import (
@@ -183,7 +183,7 @@ def _not_assessed(position: str, again: Catalogue, settings: Settings) -> Iterat
     found = again.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
     if not all(found["in_baseline"]) or not found["set_index"]:
         return
-    its, last_set = planned(position, settings, again.baseline(position)), max(found["set_index"])
+    its, last_set = baseline_range(position, settings, again.baseline(position)), max(found["set_index"])
     yield NotAssessed(
         position=position,
         first_set_index=its.first_set,
