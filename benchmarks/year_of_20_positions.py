@@ -39,7 +39,7 @@ from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.archive.finalize_set import compact_set
 from daq_service.archive.records import set_reference
-from daq_service.assessment.diagnosis import averages_of, experiment_text
+from daq_service.assessment.diagnosis import averages_of, diagnosis_details
 from daq_service.assessment.transaction import payload_of
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import SetCommit, open_catalogue
@@ -151,7 +151,7 @@ def _chart_and_diagnosis_columns(index: int, drawn: list[float]) -> dict[str, An
     return {
         "cause": cause.cause,
         "cause_probability": cause.probability,
-        "cause_told": experiment_text(cause),
+        "cause_told": diagnosis_details(cause),
         "chart": abs(drawn[1]),
         "chart_alarm": False,
         "limits": {name: 24.3 + abs(drawn[2]) for name in LIMITS},

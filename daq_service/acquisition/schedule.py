@@ -1,4 +1,4 @@
-"""When each set of measurements is due: phases from the configuration turned into due times.
+"""Due times of the sets, computed from the phases of the configuration.
 
 The paper: every 30 min for the first 75 h, then every hour to 350 h: 425 sets, the first one an
 interval after the start.
@@ -19,27 +19,27 @@ from hardware_drivers.nanoseconds import NS_PER_H
 
 
 class PhaseLike(Protocol):
-    """What a phase of the schedule must tell."""
+    """Interface of a phase of the schedule."""
 
     @property
     def until_h(self) -> float:
-        """Hour at which the phase ends; its last set is due then."""
+        """Return the hour at which the phase ends; its last set is due then."""
         ...
 
     @property
     def interval_h(self) -> float:
-        """Hours between two sets."""
+        """Return the hours between two sets."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class DueSet:
-    """One planned set of every position, or one beside the plan.
+    """One scheduled set of every position, or one unscheduled set.
 
     Attributes
     ----------
     position
-        The only one of a set beside the plan; None: a planned set.
+        Position of an unscheduled set; None: a scheduled set.
     """
 
     set_index: int
@@ -49,9 +49,9 @@ class DueSet:
 
 
 def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
-    """Give the ``number``-th set beside the plan after a planned one, due at a time.
+    """Return the ``number``-th unscheduled set after a scheduled one, due at the given time.
 
-    The hour is counted from the planned set, so that hour 0 follows from both alike.
+    The hour is counted from the scheduled set, so both give the same hour 0.
     """
     due_h = after.due_h + (utc_ns - after.due_utc_ns) / NS_PER_H
     epoch_ns = after.due_utc_ns - round(after.due_h * NS_PER_H)
@@ -64,7 +64,7 @@ def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> D
 
 
 def due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> list[float]:
-    """Hours of all sets in order; ``end_h`` cuts the plan short (inclusive).
+    """Return the hours of all sets in order; ``end_h`` ends the schedule early (inclusive).
 
     Each hour is counted from its phase's start, so no rounding error piles up.
     """
@@ -74,7 +74,7 @@ def due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> lis
 
 @lru_cache(maxsize=16)
 def _hours_of(phases: tuple[tuple[float, float], ...]) -> tuple[float, ...]:
-    # Of a year they are many, and each answer of the service asks for them.
+    # A year has many sets, and each answer of the web service needs them.
     hours: list[float] = []
     start_h = 0.0
     for until_h, interval_h in phases:
@@ -86,7 +86,7 @@ def _hours_of(phases: tuple[tuple[float, float], ...]) -> tuple[float, ...]:
 
 
 def plan(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None = None) -> list[DueSet]:
-    """All sets of an experiment that starts at ``epoch_utc_ns``."""
+    """Return all scheduled sets of an experiment that starts at ``epoch_utc_ns``."""
     return [
         DueSet(set_index=index, due_h=hour, due_utc_ns=epoch_utc_ns + round(hour * NS_PER_H))
         for index, hour in enumerate(due_hours(phases, end_h=end_h))

@@ -1,4 +1,4 @@
-"""Take one set: strike, read, and yield what came, in the order in which it was taken.
+"""Record one set: strike, read, and yield the measurements in their order.
 
 A set is one due time: one pulse-echo record of each ultrasonic position, then ten strikes of each
 transducer, one transducer after the other. A strike that the quality gate wants again is repeated at
@@ -47,7 +47,7 @@ Measurement = Shot | PulseEchoRecord | MissedShot
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetPlan:
-    """What is wanted of a set.
+    """Measurements of a set that are to be made.
 
     Attributes
     ----------
@@ -62,14 +62,14 @@ class SetPlan:
     read_timeout_s: float
 
     def of_method(self, method: str) -> Sequence[str]:
-        """Positions of one method."""
+        """Return the positions of one method."""
         return [name for name, its_method in self.positions.items() if its_method == method]
 
 
 def strikes_after(
     sets: Sequence[DueSet], positions: Sequence[str], *, shots_per_set: int, shot_interval_s: float
 ) -> Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]:
-    """Tell what `take_set` will strike after a given strike, set after set, if nothing intervenes.
+    """Return a function that predicts the strikes of `take_set` after a given strike.
 
     Parameters
     ----------
@@ -86,37 +86,37 @@ def strikes_after(
     order = list(itertools.product(positions, range(shots_per_set)))
     slots_ns = [round(slot * shot_interval_s * NS_PER_S) for slot in range(len(order))]
 
-    def planned(key: ShotKey, utc_ns: int) -> Iterator[tuple[ShotKey, int]]:
+    def following_strikes(key: ShotKey, utc_ns: int) -> Iterator[tuple[ShotKey, int]]:
         if (key.position, key.shot_index) not in order:
             return
         number = order.index((key.position, key.shot_index))
         start_ns = utc_ns - slots_ns[number]
-        planned_set, beside = in_order(key.set_index)
-        last = (number // shots_per_set + 1) * shots_per_set if beside else len(order)
-        following = itertools.islice(sets, planned_set + 1, None)
-        begins = itertools.chain(
+        scheduled_set, extra = in_order(key.set_index)
+        last = (number // shots_per_set + 1) * shots_per_set if extra else len(order)
+        following = itertools.islice(sets, scheduled_set + 1, None)
+        starts = itertools.chain(
             [(key.set_index, start_ns)], ((due.set_index, due.due_utc_ns) for due in following)
         )
-        left = number + 1
-        for set_index, start_ns in begins:
-            for slot, (position, shot_index) in enumerate(order[left:last], left):
+        first_slot = number + 1
+        for set_index, start_ns in starts:
+            for slot, (position, shot_index) in enumerate(order[first_slot:last], first_slot):
                 shot = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
                 yield shot, start_ns + slots_ns[slot]
-            left, last = 0, len(order)
+            first_slot, last = 0, len(order)
 
-    return planned
+    return following_strikes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ProgressOfSet:
-    """What was done of a set before the recorder ended.
+    """Progress of a set before the recorder ended.
 
     Attributes
     ----------
     started_ns
-        Experiment time of its begin.
+        Experiment time of its start.
     tried
-        Position and shot index of what was struck or recorded, with or without success.
+        Position and shot index of every attempt, with or without a record.
     n_strikes
         Strikes, repetitions included: the slots that are used.
     """
@@ -130,78 +130,78 @@ def take_set(
     rig: Rig,
     plan: SetPlan,
     *,
-    begun: ProgressOfSet | None = None,
+    progress: ProgressOfSet | None = None,
     first_sequence: int,
     boot_id: str,
     idle: Callable[[], bool],
     wants_restrike: Callable[[Shot | MissedShot], bool] = lambda _: False,
     may_strike: Callable[[str], bool] = lambda _: True,
 ) -> Iterator[Measurement]:
-    """Yield the measurements of a set; ends early once ``idle()`` is False.
+    """Record a set and yield its measurements; end early when ``idle()`` returns False.
 
     Parameters
     ----------
-    begun
-        What an earlier process did of it: only the rest is taken, in the slots that it would have had as far
-        as these are still to come.
+    progress
+        Progress of an earlier process: only the remaining measurements are made, in their original slots if
+        these are not over.
     wants_restrike
-        Asked after each strike that can be repeated, when the caller has looked at it: strike once more?
+        Called after each strike that can be repeated; True repeats it.
     may_strike
-        Asked before each strike: a position that an operator retires is not struck once more.
+        Called before each strike; False skips a position that an operator has retired.
 
     Raises
     ------
     InstrumentError
-        Anything but a missed record; what was yielded before is whole. A lost connection is raised
-        only after `LOST_IN_A_ROW` records running, when the driver has tried all it can.
+        Any error but a missed record; the measurements yielded before are complete. A lost connection is
+        raised only after `LOST_IN_A_ROW` consecutive records, when the driver has tried every recovery.
     """
     sequence = itertools.count(first_sequence)
-    begun = begun or ProgressOfSet(
+    progress = progress or ProgressOfSet(
         started_ns=max(rig.clock.utc_ns(), plan.due.due_utc_ns), tried=frozenset(), n_strikes=0
     )
     interval_ns = plan.shot_interval_s * NS_PER_S
-    start_ns = max(begun.started_ns, rig.clock.utc_ns() - round(begun.n_strikes * interval_ns))
-    lost = 0
+    start_ns = max(progress.started_ns, rig.clock.utc_ns() - round(progress.n_strikes * interval_ns))
+    n_lost = 0
     for position in plan.of_method(PULSE_ECHO):
-        if (position, 0) in begun.tried:
+        if (position, 0) in progress.tried:
             continue
         if not rig.clock.wait_until(start_ns, idle):
             return
         key = ShotKey(position=position, set_index=plan.due.set_index, shot_index=0)
         yield _echo(rig, plan, key, sequence, boot_id)
     strikes = itertools.product(plan.of_method(SOLITARY_WAVE), range(plan.shots_per_set))
-    slot = itertools.count(begun.n_strikes)
+    slot = itertools.count(progress.n_strikes)
     for position, shot_index in strikes:
-        if (position, shot_index) in begun.tried:
+        if (position, shot_index) in progress.tried:
             continue
         for attempt in itertools.count():
             if not may_strike(position):
                 break
             if not rig.clock.wait_until(start_ns + round(next(slot) * interval_ns), idle):
                 return
-            if not may_strike(position):  # orders are heard while waiting
+            if not may_strike(position):  # commands are executed while waiting
                 break
             key = ShotKey(
                 position=position, set_index=plan.due.set_index, shot_index=shot_index, attempt=attempt
             )
-            taken, error, last_attempt = _strike(rig, plan, key, sequence, boot_id)
-            yield taken
-            lost = 0 if error is None else lost + 1
-            if error is not None and lost >= LOST_IN_A_ROW:
+            measurement, error, last_attempt = _strike(rig, plan, key, sequence, boot_id)
+            yield measurement
+            n_lost = 0 if error is None else n_lost + 1
+            if error is not None and n_lost >= LOST_IN_A_ROW:
                 raise error
-            if last_attempt or not wants_restrike(taken):
+            if last_attempt or not wants_restrike(measurement):
                 break
 
 
 def _strike(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
 ) -> tuple[Shot | MissedShot, ConnectionLostError | None, bool]:
-    """Arm, strike, read; whatever happens the coil is off and the digitizer disarmed afterwards.
+    """Arm, strike and read; after any error the coil is off and the digitizer disarmed.
 
     Returns
     -------
     tuple
-        What came, the connection's loss, and whether the shot cannot be struck once more.
+        Shot or missed shot, error of a lost connection, and whether the shot cannot be repeated.
     """
     stamp = _stamp(rig, boot_id)
     try:
@@ -212,7 +212,7 @@ def _strike(
         rig.make_safe()
         return MissedShot(key=key, cause=str(error)), None, error.last_attempt
     except ConnectionLostError as error:
-        _make_safe_as_far_as_reachable(rig, error)
+        _make_reachable_instruments_safe(rig, error)
         return MissedShot(key=key, cause=str(error), reason="connection_lost"), error, True
     except BaseException:
         rig.make_safe()
@@ -228,8 +228,8 @@ def _strike(
     return shot, None, acquired.last_attempt
 
 
-def _make_safe_as_far_as_reachable(rig: Rig, error: ConnectionLostError) -> None:
-    """Switch off what answers; the pulse of a coil that cannot be reached ends by itself, in hardware."""
+def _make_reachable_instruments_safe(rig: Rig, error: ConnectionLostError) -> None:
+    """Switch off the instruments that respond; hardware ends the pulse of an unreachable coil."""
     try:
         rig.make_safe()
     except InstrumentError as unreachable:
@@ -239,7 +239,7 @@ def _make_safe_as_far_as_reachable(rig: Rig, error: ConnectionLostError) -> None
 def _echo(
     rig: Rig, plan: SetPlan, key: ShotKey, sequence: Iterator[int], boot_id: str
 ) -> PulseEchoRecord | MissedShot:
-    """One averaged record; a unit that does not answer costs its own record, not the strikes after it."""
+    """Acquire one averaged record; a unit that does not respond misses only its own record."""
     assert rig.pulse_echo is not None, "open_rig gives every pulse-echo position its unit"
     stamp = _stamp(rig, boot_id)
     try:

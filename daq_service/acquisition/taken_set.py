@@ -1,4 +1,4 @@
-"""A set while it is taken: whatever ends it early, what came before stays."""
+"""A set while it is recorded: an early end keeps its measurements."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ NOT_ANALYSED = "not_analysed"
 
 @dataclass(slots=True, kw_only=True, eq=False)
 class TakenSet:
-    """Records, misses and features so far, and what the quality gate made of them.
+    """Records, misses and features of the current set, and the results of the quality check.
 
     Attributes
     ----------
     retired
-        Positions that were left out from the beginning, and why.
+        Positions that were left out from the start, with the reason.
     features
         Features of each shot by its sequence.
     trouble
-        The instrument's error that ended the set; None: it ran to its end or was told to stop.
+        Instrument error that ended the set; None: it was completed or stopped.
     """
 
     rule: RestrikeRule
@@ -51,7 +51,7 @@ class TakenSet:
     ended_ns: int = 0
 
     def restore(self, opened: OpenSet) -> None:
-        """Take over what an earlier process kept of this set; features are found elsewhere."""
+        """Add the records that an earlier process stored of this set; features are added separately."""
         for record in opened.records:
             self.keep(record)
         for missed in opened.missed:
@@ -61,8 +61,8 @@ class TakenSet:
         keys = [item.key for item in taken]
         self.restrikes.update(key.position for key in keys if key.attempt > 0)
 
-    def begun(self, struck: Collection[str]) -> ProgressOfSet:
-        """Tell what is done of it; ``struck`` are the positions that have strikers."""
+    def progress(self, struck: Collection[str]) -> ProgressOfSet:
+        """Return the progress of the set; ``struck`` are the positions that have strikers."""
         taken: list[Shot | PulseEchoRecord | MissedShot] = [*self.shots, *self.echoes, *self.missed]
         keys = [item.key for item in taken]
         return ProgressOfSet(
@@ -72,12 +72,12 @@ class TakenSet:
         )
 
     def is_complete(self, planned: Mapping[str, int]) -> bool:
-        """Whether everything planned was tried; positions that were left out count for nothing."""
-        tried = Counter(position for position, _ in self.begun(()).tried)
+        """Return whether every planned shot was tried; positions that were left out are ignored."""
+        tried = Counter(position for position, _ in self.progress(()).tried)
         return all(tried[position] >= n for position, n in planned.items() if position not in self.retired)
 
     def keep(self, measurement: Measurement) -> None:
-        """Take a measurement in; a shot's features are found elsewhere (`features`)."""
+        """Add a measurement; a shot's features are added separately (`features`)."""
         if isinstance(measurement, MissedShot):
             log.warning("%s: %s", measurement.key, measurement.cause)
             self.missed.append(measurement)
@@ -87,7 +87,7 @@ class TakenSet:
             self.echoes.append(measurement)
 
     def wants_restrike(self, taken: Shot | MissedShot) -> bool:
-        """Ask the quality gate, and count what it grants."""
+        """Return whether the quality check repeats a strike, and count the repetition."""
         position = taken.key.position
         flags = ("missed",) if isinstance(taken, MissedShot) else self.features[taken.sequence].flags
         granted = self.rule.wants(flags, attempt=taken.key.attempt, restrikes_so_far=self.restrikes[position])
@@ -98,25 +98,25 @@ class TakenSet:
 
     @property
     def is_empty(self) -> bool:
-        """True if there is not one record."""
+        """Return whether the set has no record."""
         return not self.shots and not self.echoes
 
     def n_records(self, position: str) -> int:
-        """Shots of a position that have a record (each counted once), or its pulse-echo records."""
+        """Count the shots of a position that have a record (each once), or its pulse-echo records."""
         records: list[Shot | PulseEchoRecord] = [*self.shots, *self.echoes]
         return len({item.key.shot_index for item in records if _at(item, position)})
 
-    def shortfall(self, position: str, n_planned: int, told_to: str) -> str:
-        """Why a position has fewer records than planned; empty if it has all.
+    def shortfall(self, position: str, n_planned: int, stop_reason: str) -> str:
+        """Return why a position has fewer records than planned; empty if it has all.
 
         Parameters
         ----------
-        told_to
-            Why the set was ended where the instruments had no trouble.
+        stop_reason
+            Why the set was ended without an instrument error.
         """
         if self.n_records(position) >= n_planned:
             return ""
-        ended_by = told_to if self.trouble is None else str(self.trouble)
+        ended_by = stop_reason if self.trouble is None else str(self.trouble)
         missed = [item for item in self.missed if _at(item, position)]
         attempts: list[Shot | PulseEchoRecord | MissedShot] = [*self.shots, *self.echoes, *missed]
         tried = {item.key.shot_index for item in attempts if _at(item, position)}
@@ -126,19 +126,19 @@ class TakenSet:
         return "; ".join(causes)
 
     def missed_records(self) -> list[MissedRecord]:
-        """List what was tried and left no record, in the archive's form."""
+        """Return the attempts without a record, in the archive's form."""
         return [MissedRecord(key=item.key, cause=item.cause, reason=item.reason) for item in self.missed]
 
     def instrument_error(self) -> str:
-        """Name the instrument's error in the archive's form, ``class: message``; empty: there was none."""
+        """Return the instrument error in the archive's form, ``class: message``; empty if there was none."""
         if self.trouble is None:
             return ""
-        # A driver may have a subclass of its own; the archive tells the kind that every driver shares.
+        # A driver may raise a subclass; the archive stores the class that all drivers share.
         kinds = (kind for kind in type(self.trouble).__mro__ if kind.__module__ == InstrumentError.__module__)
         return f"{next(kinds).__name__}: {self.trouble}"
 
     def superseded(self) -> dict[int, str]:
-        """Sequence to outcome of the shots that do not count."""
+        """Return the outcome of the shots that do not count, by sequence."""
         return superseded(self.shots, self.features)
 
 
@@ -147,7 +147,7 @@ def _at(item: Shot | PulseEchoRecord | MissedShot | MissedRecord, position: str)
 
 
 def features_of(shot: Shot) -> ShotFeatures:
-    """Features of a shot; one that cannot be analysed is flagged and costs no other shot its place."""
+    """Extract the features of a shot; a shot that cannot be analysed is flagged."""
     try:
         return extract_features(shot.waveform)
     except Exception:  # a fault of the analysis must never stop the acquisition; it is logged whole
@@ -156,7 +156,7 @@ def features_of(shot: Shot) -> ShotFeatures:
 
 
 def features_of_all(shots: Sequence[Shot]) -> list[ShotFeatures]:
-    """Features of each of many shots: as `features_of`, quicker."""
+    """Extract the features of many shots; the same as `features_of`, but faster."""
     try:
         return extract_all([shot.waveform for shot in shots])
     except Exception:  # noqa: BLE001 each is tried alone, which logs the one
@@ -164,53 +164,53 @@ def features_of_all(shots: Sequence[Shot]) -> list[ShotFeatures]:
 
 
 def features_of_a_rehearsal(shot: Shot) -> ShotFeatures:
-    """All that noise tells: its rms about its mean."""
+    """Return the only feature of a rehearsal's noise: its RMS about the mean, in V."""
     noise_rms_v = float(np.std(shot.waveform.volts()))
     return ShotFeatures(flags=(DRY_RUN,), valid=False, quality="bad", noise_rms_v=noise_rms_v)
 
 
 def superseded(shots: list[Shot], features: dict[int, ShotFeatures]) -> dict[int, str]:
-    """Sequence to outcome of the shots whose repetition counts instead of them."""
-    found: dict[int, str] = {}
+    """Return the outcome of the shots that are superseded by their repetition, by sequence."""
+    superseded_shots: dict[int, str] = {}
     for position in {shot.key.position for shot in shots}:
-        own = [shot for shot in shots if shot.key.position == position]
+        shots_here = [shot for shot in shots if shot.key.position == position]
         attempts = [
             Attempt(
                 shot_index=shot.key.shot_index,
                 attempt=shot.key.attempt,
                 quality=features[shot.sequence].quality,
             )
-            for shot in own
+            for shot in shots_here
         ]
-        for shot, outcome in zip(own, outcomes(attempts), strict=True):
+        for shot, outcome in zip(shots_here, outcomes(attempts), strict=True):
             if outcome == SUPERSEDED:
-                found[shot.sequence] = outcome
-    return found
+                superseded_shots[shot.sequence] = outcome
+    return superseded_shots
 
 
 def due_of(record: SetRecord) -> DueSet:
-    """Tell when a set was due, and of which position alone."""
-    beside = purpose_of(record.set_index) != "planned"
+    """Return the due time of a stored set, and the position of an unscheduled one."""
+    is_unscheduled = purpose_of(record.set_index) != "planned"
     return DueSet(
         set_index=record.set_index,
         due_h=record.due_h,
         due_utc_ns=record.due_utc_ns,
-        position=record.positions[0].position if beside else None,
+        position=record.positions[0].position if is_unscheduled else None,
     )
 
 
 def n_missed(record: SetRecord, position: str) -> int:
-    """Strikes or echoes of a position that left no record."""
+    """Count the strikes or echoes of a position without a record."""
     return sum(_at(item, position) for item in record.missed)
 
 
 def n_tried(record: SetRecord, position: str) -> int:
-    """Shots of a position that were struck, with or without a record; repetitions are not counted."""
+    """Count the shots of a position that were struck, with or without a record, without repetitions."""
     tried: list[Shot | MissedRecord] = [*record.shots, *record.missed]
     return sum(_at(item, position) and item.key.attempt == 0 for item in tried)
 
 
 def n_restrikes(record: SetRecord, position: str) -> int:
-    """Repetitions of a position's shots, with or without a record."""
+    """Count the repetitions of a position's shots, with or without a record."""
     tried: list[Shot | MissedRecord] = [*record.shots, *record.missed]
     return sum(_at(item, position) and item.key.attempt > 0 for item in tried)

@@ -1,4 +1,4 @@
-"""The alarm of a clock that cannot be believed."""
+"""The alarm of an unverified computer clock."""
 
 from __future__ import annotations
 
@@ -8,12 +8,12 @@ CLOCK_DOUBTED = "clock_doubted"
 
 
 def doubt_condition(reason: str) -> Condition:
-    """Alarm while the recorder waits for a set clock; it takes no set and writes no gap meanwhile.
+    """Return the condition of the alarm that is active while the recorder waits for a verified clock.
 
     Parameters
     ----------
     reason
-        Why the system's clock is doubted; empty: it is not, or no longer.
+        Why the system's clock is unverified; empty if it is verified.
     """
     return Condition(
         kind=CLOCK_DOUBTED,

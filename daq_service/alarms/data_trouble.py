@@ -1,4 +1,4 @@
-"""The alarms of the data themselves: what cannot be stored, what cannot be read."""
+"""Alarms of stored data: corrupt files, low disk space, failed writes."""
 
 from __future__ import annotations
 
@@ -8,63 +8,63 @@ from types import MappingProxyType
 from daq_service.alarms.states import Condition
 
 SHOWN = 5
-"""A message names this many files: nobody reads more."""
+"""Maximum number of files in a message."""
 
 
 def damage_condition(
     set_aside: Sequence[str], damaged: Mapping[str, str] = MappingProxyType({})
 ) -> Condition:
-    """Alarm while damaged sets lie in quarantine, or stored ones are damaged or gone.
+    """Return the condition of corrupt data: sets in quarantine, or stored files that are corrupt or missing.
 
     Parameters
     ----------
     set_aside
-        What lies there, by the archive's names.
+        Sets in quarantine, by the archive's names.
     damaged
-        Files of sets that have rows, and copies of segments of the journal, and what is wrong with each.
+        Files of sets that have rows, and copies of journal segments, with the fault of each.
     """
-    told = [f"{file} {_sentence(what)}" for file, what in list(damaged.items())[:SHOWN]]
-    told += [f"and {len(damaged) - SHOWN} more"] if len(damaged) > SHOWN else []
-    told += ["solimon verify names all of it, solimon repair what helps"] if damaged else []
+    messages = [f"{file} {_sentence(fault)}" for file, fault in list(damaged.items())[:SHOWN]]
+    messages += [f"and {len(damaged) - SHOWN} more"] if len(damaged) > SHOWN else []
+    messages += ["solimon verify names all of it, solimon repair what helps"] if damaged else []
     if set_aside:
-        told.append(f"set aside because of damage: {', '.join(set_aside)}; remove what nobody needs")
+        messages.append(f"set aside because of damage: {', '.join(set_aside)}; remove what nobody needs")
     return Condition(
         kind="data_damaged",
         severity="high" if damaged else "medium",
         present=bool(set_aside or damaged),
-        message="; ".join(told),
+        message="; ".join(messages),
         proof={"set_aside": list(set_aside), "damaged": dict(damaged)},
     )
 
 
-def _sentence(what: str) -> str:
-    return what if what.startswith("is ") else f"is damaged: {what}"
+def _sentence(fault: str) -> str:
+    return fault if fault.startswith("is ") else f"is damaged: {fault}"
 
 
-def space_condition(told: str, *, present: bool, stops: bool) -> Condition:
-    """Alarm while little of the volume is free; severe once nothing more is stored.
+def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition:
+    """Return the condition of low disk space; its severity rises when storing stops.
 
     Parameters
     ----------
-    told
-        How much is free.
+    free_space
+        Text with the free space.
     """
-    follows = "nothing more is stored until some is freed" if stops else "soon nothing more is stored"
+    consequence = "nothing more is stored until some is freed" if stops else "soon nothing more is stored"
     return Condition(
         kind="disk_space",
         severity="high" if stops else "medium",
         present=present,
-        message=f"{told}: {follows}; free some, or take other data off the volume",
+        message=f"{free_space}: {consequence}; free some, or take other data off the volume",
     )
 
 
 def storage_condition(message: str, *, present: bool, waits_in: str = "memory") -> Condition:
-    """Alarm while sets wait in memory, or whole ones in the journal, because the disk takes nothing.
+    """Return the condition of failed writes: sets wait in memory, or complete ones in the journal.
 
     Parameters
     ----------
     message
-        What the disk, or the system, says.
+        Error message of the disk or the operating system.
     """
     return Condition(
         kind="storage_unavailable",

@@ -1,4 +1,4 @@
-"""On-delay, off-delay and dead-band (ISA-18.2): what holds an alarm back from its condition. Pure."""
+"""On-delay, off-delay and deadband of alarms (ISA-18.2). Pure."""
 
 from __future__ import annotations
 
@@ -11,43 +11,45 @@ from daq_service.settings.alarm_delays import AlarmKindSettings
 from hardware_drivers.nanoseconds import NS_PER_S
 
 DELAY_EVENT = "alarm_delay"
-"""Event that tells since when an alarm is held back by its delay, or that it is so no more."""
+"""Event that contains the start of an alarm's delay, or its end."""
 AT_ONCE = AlarmKindSettings()
 
 
-def followed(
+def apply_delays(
     row: AlarmRow | None,
     condition: Condition,
     since_ns: int | None,
     moment: Moment,
     kinds: Mapping[str, AlarmKindSettings],
 ) -> tuple[Condition | None, int | None]:
-    """Tell what an alarm follows now, and since when its delay holds it back.
+    """Apply delay and deadband to the condition of an alarm.
 
     Parameters
     ----------
     row
         The latest alarm of this position and kind, or None.
     since_ns
-        Since when it has been held back, ns of UTC on the experiment's clock; None: it is not.
+        Start of the running delay, ns of UTC on the experiment's clock; None if none runs.
     kinds
-        Delays and dead-bands by kind (`alarms.kinds`); a kind that is absent has none.
+        Delays and deadbands by kind (`alarms.kinds`); a kind that is absent has none.
 
     Returns
     -------
     Condition or None
-        None: the alarm stays as it is.
+        Condition to apply; None if the alarm stays as it is.
     int or None
-        ``since_ns`` from now on.
+        New value of ``since_ns``.
     """
     rule = kinds.get(condition.kind, AT_ONCE)
-    stands = row is not None and row.state in ("unacknowledged", "acknowledged")
-    # A quantity that nobody knows now is not back.
-    is_back = condition.times_limit is not None and condition.times_limit <= 1.0 - rule.dead_band_fraction
-    if stands and rule.dead_band_fraction and not is_back:
+    is_active = row is not None and row.state in ("unacknowledged", "acknowledged")
+    # An unknown quantity has not returned to normal.
+    is_below_deadband = (
+        condition.times_limit is not None and condition.times_limit <= 1.0 - rule.dead_band_fraction
+    )
+    if is_active and rule.dead_band_fraction and not is_below_deadband:
         condition = replace(condition, present=True)
     delay_s = rule.on_delay_s if condition.present else rule.off_delay_s
-    if condition.present == stands or not delay_s:
+    if condition.present == is_active or not delay_s:
         return condition, None
     since_ns = moment.utc_ns if since_ns is None else since_ns
     is_over = moment.utc_ns - since_ns >= delay_s * NS_PER_S

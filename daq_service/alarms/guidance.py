@@ -1,4 +1,4 @@
-"""What to do about each kind of alarm: one table for the page, the API and the how-to.
+"""Guidance for each kind of alarm: one table for the page, the API and the how-to.
 
 `docs/how-to/my-alarm-what-now.md` shows `as_markdown`; a test compares.
 """
@@ -282,15 +282,21 @@ GUIDANCE: Mapping[str, Guidance] = {
 
 
 def in_order(steps: Sequence[str]) -> str:
-    """Return the steps as one sentence, numbered."""
+    """Return numbered steps as one sentence."""
     parts = [f"{number} {step}" for number, step in enumerate(steps, start=1)]
     return "".join(part + (" " if part.endswith("?") else "; ") for part in parts).rstrip("; ")
 
 
 def as_markdown() -> str:
-    """Return the table of the how-to."""
+    """Return the guidance as the Markdown table of the how-to."""
     lines = ["| Kind | It says | It does not say | Look first | Whom to call |", "|---|---|---|---|---|"]
-    for kind, one in GUIDANCE.items():
-        cells = (f"`{kind}`", one.says, one.does_not_say, in_order(one.look_first), one.call)
+    for kind, guidance in GUIDANCE.items():
+        cells = (
+            f"`{kind}`",
+            guidance.says,
+            guidance.does_not_say,
+            in_order(guidance.look_first),
+            guidance.call,
+        )
         lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines) + "\n"

@@ -1,4 +1,4 @@
-"""The alarms of a process that is missing, raised by one that is left."""
+"""Alarms of a process that does not run, raised by another one."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ WEB_NOT_RESPONDING = "web_not_responding"
 
 
 def recorder_condition(finding: str, hour: float) -> Condition:
-    """Alarm from the moment at which the recorder is missing until a planned set is stored.
+    """Return the condition of a missing recorder; it ends when a scheduled set is stored.
 
     Parameters
     ----------
     finding
-        What shows that it is missing; empty: a set is stored.
+        Evidence that it is missing; empty when a set is stored.
     hour
         Of the test, h.
     """
@@ -29,7 +29,7 @@ def recorder_condition(finding: str, hour: float) -> Condition:
 
 
 def web_condition(hour: float, *, present: bool) -> Condition:
-    """Alarm while a web service that has served this test stalls, or has ended without notice.
+    """Return the condition of a web service of this test that stalls, or has ended without notice.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The alarm of the rig itself: its instruments end a set, or answer to nothing in it."""
+"""The alarm of the instruments: they end a set early, or do not respond."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from daq_service.archive import MissedRecord
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 
 PASSING = (BusyError.__name__, ConnectionLostError.__name__)
-"""What may be over by the next set: a board that is busy or gone may be free or back by then."""
+"""Errors that may be gone at the next set: a busy board may be free, a lost connection restored."""
 
 
 def lost_cause(missed: Sequence[MissedShot | MissedRecord]) -> str:
-    """Last cause, where every one of these attempts lost its connection; else empty.
+    """Return the last cause if all these attempts lost the connection; else an empty text.
 
     Parameters
     ----------
     missed
-        Everything that was tried with an instrument, none of which left a record.
+        All attempts with an instrument; none of them has a record.
     """
     if not missed or any(item.reason != "connection_lost" for item in missed):
         return ""
@@ -28,21 +28,21 @@ def lost_cause(missed: Sequence[MissedShot | MissedRecord]) -> str:
 
 
 def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -> Condition:
-    """Alarm while the instruments do not answer, belong to somebody else, or cannot do what is asked.
+    """Return the condition of instruments that do not respond, are busy, or report an error.
 
     Parameters
     ----------
     trouble
-        What ended the set, ``class: message``; empty if nothing did.
+        Error that ended the set, ``class: message``; empty if there was none.
     unanswered
-        Why nothing in the set was answered (`lost_cause`); empty if anything was.
+        Why no instrument responded in the set (`lost_cause`); empty if one did.
     proven
-        These instruments have taken a whole set here: whatever they say now, the next one is tried.
+        These instruments have recorded a complete set before, so the next set is tried after any error.
     """
     error, _, message = trouble.partition(": ")
-    happened = "ended early"
+    event = "ended early"
     if not trouble and unanswered:
-        error, message, happened = ConnectionLostError.__name__, unanswered, "got no answer"
+        error, message, event = ConnectionLostError.__name__, unanswered, "got no answer"
     outlook = "the next set tries again"
     if error not in PASSING and not proven:
         outlook = "the recorder has stopped: mend the cause and start it again; it goes on with the schedule"
@@ -50,13 +50,13 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
         kind="rig_unavailable",
         severity="high",
         present=bool(trouble or unanswered),
-        message=f"set {due.set_index} {happened}: {message}; {outlook}",
+        message=f"set {due.set_index} {event}: {message}; {outlook}",
         proof={"set_index": due.set_index, "error": error},
     )
 
 
 def opening_condition(trouble: InstrumentError | None) -> Condition:
-    """Alarm while a test that has begun waits for its rig to open; its proof names no set."""
+    """Return the condition of a started test that waits for its rig to open; its evidence has no set."""
     return Condition(
         kind="rig_unavailable",
         severity="high",

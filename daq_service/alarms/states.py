@@ -10,12 +10,12 @@
       └──────────── returned_unacknowledged                      normal
         acknowledge
 
-Beside its state an alarm may be suppressed: shelved for a bounded time, or out of service until a person
-returns it. It goes on through its states meanwhile, and is told apart (`as_it_stands`).
+An alarm may also be suppressed: shelved for a limited time, or out of service until a person returns it. Its
+state changes as usual meanwhile (`without_expired_shelf`).
 
-A latched alarm (a hole does not heal) never leaves by its condition, only by a person's reset.
+A latched alarm (a hole does not heal) returns to normal only by a person's reset.
 Severity is kept at the highest reached until the alarm is acknowledged.
-What holds an alarm back before it follows its condition is in `delays`.
+Delays and deadbands are in `delays`.
 """
 
 from __future__ import annotations
@@ -33,34 +33,34 @@ AFTER_ACKNOWLEDGEMENT: Mapping[str, AlarmState] = {
     "unacknowledged": "acknowledged",
     "returned_unacknowledged": "normal",
 }
-"""States that wait for an operator, and what follows."""
+"""States that wait for an operator, and the state after the acknowledgement."""
 SUPPRESSION = (
     *("suppressed", "suppressed_by", "suppressed_because"),
     *("shelved_until_utc_ns", "shelved_until_wall_utc_ns"),
 )
-"""Columns of an alarm that say whether, and how, it is suppressed."""
+"""Columns of an alarm about its suppression."""
 NOT_SUPPRESSED: Mapping[str, Any] = MappingProxyType(dict.fromkeys(SUPPRESSION))
 LONGEST_SHELF_H = 72.0
-"""A weekend: what is not put right by then is out of service, or an alarm again."""
+"""Maximum time of a shelf: a weekend."""
 RETIRING = ("hole", "retired")
-"""Kinds of alarm at which a transducer strikes no more, until a person reinstates it."""
+"""Kinds of alarm that stop a transducer's strikes until a person reinstates it."""
 ALARMS_OF_CHANGE = ("wall_change", "transducer_change")
-"""Kinds of alarm whose proof says what a confirmation set says: one turns into the other with the cause."""
+"""Kinds of alarm with the result of a confirmation set in their evidence; the diagnosis selects one."""
 NOT_ASSESSED = "not_judged"
-"""Kind of alarm while a baseline without limits stands, and the word for a position that is not judged."""
+"""Kind of alarm of a baseline without limits, and status of a position that is not assessed."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Condition:
-    """What one assessment says of one possible alarm.
+    """Condition of one possible alarm after one assessment.
 
     Attributes
     ----------
     times_limit
-        The measured quantity as a multiple of its limit, above 1 beyond it; None: it has none, or none now.
+        Measured quantity divided by its limit; None if it has no limit, or no value now.
     known
-        What is known for sure of its cause now, where that is as grave as was feared or graver: told once,
-        however long the alarm has stood.
+        Confirmed diagnosis, if it is at least as severe as the alarm; it is reported once while the alarm is
+        active.
     """
 
     position: str | None = None
@@ -77,12 +77,12 @@ class Condition:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
-    """A row to store, and the event that tells of it.
+    """A row to store, and the kind of its event.
 
     Attributes
     ----------
     author
-        Whose deed it is, where the row may name somebody else: who saw the alarm first.
+        Person who made the change, if the row may name another person, who acknowledged the alarm before.
     """
 
     row: AlarmRow
@@ -92,7 +92,7 @@ class Change:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
-    """When an assessment was made, on the experiment's clock."""
+    """Time of an assessment on the experiment's clock."""
 
     utc_ns: int
     due_h: float
@@ -100,12 +100,12 @@ class Moment:
 
 
 def retired_positions(alarms: Iterable[AlarmRow]) -> dict[str, str]:
-    """Transducers that strike no more, and the alarm's message that says why.
+    """Return the retired transducers, each with the message of its alarm.
 
     Parameters
     ----------
     alarms
-        Rows; those that are back to normal retire nobody.
+        Rows; those that have returned to normal are ignored.
     """
     return {
         row.position: row.message
@@ -115,47 +115,51 @@ def retired_positions(alarms: Iterable[AlarmRow]) -> dict[str, str]:
 
 
 def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change | None:
-    """Carry an alarm over one assessment; None where nothing changes.
+    """Update an alarm with the condition of one assessment; None if nothing changes.
 
     Parameters
     ----------
     row
-        The latest alarm of this position and kind, or None. A closed one (state normal) stays in
-        the history: its next appearance is a new alarm with a new row.
+        The latest alarm of this position and kind, or None. After a return to normal the next alarm has a
+        new row.
     """
     if condition.present and (row is None or row.state == "normal"):
-        # A shelf, or a sensor under repair, is about the position and the kind: the next alarm stays on it.
+        # Suppression applies to position and kind, so it continues for the next alarm.
         suppressed = {name: getattr(row, name) for name in SUPPRESSION} if row is not None else {}
         return Change(row=replace(_new_row(condition, moment), **suppressed), event_kind="alarm_raised")
     if row is None:
         return None
     if condition.present:
         if row.state == "returned_unacknowledged":
-            told = _as_told(row, condition)
-            return _to(row, "unacknowledged", moment, "alarm_returned", cleared_utc_ns=None, **told)
-        graver = SEVERITIES.index(condition.severity) > SEVERITIES.index(row.severity)
-        if graver or condition.known not in ("", row.proof.get("known")):
-            return _to(
+            updated = _updated_columns(row, condition)
+            return _change_state(
+                row, "unacknowledged", moment, "alarm_returned", cleared_utc_ns=None, **updated
+            )
+        is_more_severe = SEVERITIES.index(condition.severity) > SEVERITIES.index(row.severity)
+        if is_more_severe or condition.known not in ("", row.proof.get("known")):
+            return _change_state(
                 row,
                 "unacknowledged",
                 moment,
                 "alarm_worsened",
-                **_as_told(row, condition),
-                # It was shelved for what was known then.
+                **_updated_columns(row, condition),
+                # The shelf does not cover the new severity or diagnosis.
                 **(NOT_SUPPRESSED if row.suppressed == "shelved" else {}),
             )
         return None
     if condition.latched:
         return None
     if row.state == "unacknowledged":
-        return _to(row, "returned_unacknowledged", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
+        return _change_state(
+            row, "returned_unacknowledged", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns
+        )
     if row.state == "acknowledged":
-        return _to(row, "normal", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
+        return _change_state(row, "normal", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
     return None
 
 
 def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
-    """Note that an operator has seen the alarm.
+    """Acknowledge an alarm.
 
     Raises
     ------
@@ -164,7 +168,7 @@ def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change
     """
     if row.state not in AFTER_ACKNOWLEDGEMENT:
         raise ValueError(f"alarm {row.id} is {row.state}: there is nothing to acknowledge")
-    return _to(
+    return _change_state(
         row,
         AFTER_ACKNOWLEDGEMENT[row.state],
         moment,
@@ -176,7 +180,7 @@ def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change
 
 
 def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
-    """End an alarm by a person's word: what it stood for was put right, or is no longer watched.
+    """Reset an alarm: a person has removed its cause, or ends its monitoring.
 
     Raises
     ------
@@ -185,7 +189,7 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     """
     if row.state == "normal":
         raise ValueError(f"alarm {row.id} has ended already: there is nothing to reset")
-    change = _to(
+    change = _change_state(
         row,
         "normal",
         moment,
@@ -198,36 +202,36 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     return replace(change, author=author)
 
 
-def proven_by(row: AlarmRow, proof: Mapping[str, Any], moment: Moment) -> Change:
-    """Add to the proof of an alarm what was found out since; its state stays."""
-    return _to(row, row.state, moment, "alarm_proof_added", proof=row.proof | dict(proof))
+def add_evidence(row: AlarmRow, proof: Mapping[str, Any], moment: Moment) -> Change:
+    """Add later results to the evidence of an alarm; its state does not change."""
+    return _change_state(row, row.state, moment, "alarm_proof_added", proof=row.proof | dict(proof))
 
 
-def as_it_stands(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> AlarmRow:
-    """Return the row as it is at a moment: a shelf that has expired is none, whoever has noted that.
+def without_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> AlarmRow:
+    """Return the row as it is at a moment: without its shelf if that has expired.
 
     Parameters
     ----------
     utc_ns, wall_utc_ns
-        Now on the experiment's clock, and in real time.
+        Current time on the experiment's clock, and in real time.
     """
     ends_ns, ends_wall_ns = row.shelved_until_utc_ns, row.shelved_until_wall_utc_ns
     if row.suppressed != "shelved" or ends_ns is None or ends_wall_ns is None:
         return row
-    expired = utc_ns >= ends_ns or wall_utc_ns >= ends_wall_ns
-    return replace(row, **NOT_SUPPRESSED) if expired else row
+    has_expired = utc_ns >= ends_ns or wall_utc_ns >= ends_wall_ns
+    return replace(row, **NOT_SUPPRESSED) if has_expired else row
 
 
-def expired(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change | None:
-    """End a shelf whose time is over; None where there is none."""
-    after = as_it_stands(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
-    return None if after is row else _to(after, row.state, moment, "alarm_shelf_expired")
+def end_expired_shelf(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change | None:
+    """End an expired shelf; None if there is none."""
+    current_row = without_expired_shelf(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
+    return (
+        None if current_row is row else _change_state(current_row, row.state, moment, "alarm_shelf_expired")
+    )
 
 
-def shelve(
-    row: AlarmRow, author: str, because: str, for_h: float, moment: Moment, wall_utc_ns: int
-) -> Change:
-    """Tell nobody of an alarm for so many hours, of the test or in real time, whichever pass first.
+def shelve(row: AlarmRow, author: str, reason: str, for_h: float, moment: Moment, wall_utc_ns: int) -> Change:
+    """Shelve an alarm for a number of hours of the test or of real time, whichever end first.
 
     Raises
     ------
@@ -239,21 +243,21 @@ def shelve(
     if row.suppressed == "out_of_service":
         raise ValueError(f"alarm {row.id} is out of service: return it to service first")
     length_ns = round(for_h * NS_PER_H)
-    return _to(
+    return _change_state(
         row,
         row.state,
         moment,
         "alarm_shelved",
         suppressed="shelved",
         suppressed_by=author,
-        suppressed_because=because,
+        suppressed_because=reason,
         shelved_until_utc_ns=moment.utc_ns + length_ns,
         shelved_until_wall_utc_ns=wall_utc_ns + length_ns,
     )
 
 
-def take_out_of_service(row: AlarmRow, author: str, because: str, moment: Moment) -> Change:
-    """Tell nobody of an alarm until a person returns it to service.
+def take_out_of_service(row: AlarmRow, author: str, reason: str, moment: Moment) -> Change:
+    """Take an alarm out of service until a person returns it.
 
     Raises
     ------
@@ -262,17 +266,17 @@ def take_out_of_service(row: AlarmRow, author: str, because: str, moment: Moment
     """
     if row.suppressed == "out_of_service":
         raise ValueError(f"alarm {row.id} is out of service already: {row.suppressed_because}")
-    out = {
+    columns = {
         **NOT_SUPPRESSED,
         "suppressed": "out_of_service",
         "suppressed_by": author,
-        "suppressed_because": because,
+        "suppressed_because": reason,
     }
-    return _to(row, row.state, moment, "alarm_out_of_service", **out)
+    return _change_state(row, row.state, moment, "alarm_out_of_service", **columns)
 
 
 def end_suppression(row: AlarmRow, wanted: Suppression, author: str, note: str, moment: Moment) -> Change:
-    """Tell of an alarm again: unshelve it, or return it to service.
+    """Unshelve an alarm, or return it to service.
 
     Raises
     ------
@@ -282,9 +286,9 @@ def end_suppression(row: AlarmRow, wanted: Suppression, author: str, note: str, 
     if row.suppressed != wanted:
         raise ValueError(f"alarm {row.id} is not {wanted.replace('_', ' ')}")
     event_kind = "alarm_unshelved" if wanted == "shelved" else "alarm_in_service"
-    # Who ended it stays beside, until it is suppressed anew.
-    ended = {**NOT_SUPPRESSED, "suppressed_by": author, "suppressed_because": note or None}
-    return _to(row, row.state, moment, event_kind, **ended)
+    # The name of the person who ended it stays in the row until the next suppression.
+    columns = {**NOT_SUPPRESSED, "suppressed_by": author, "suppressed_because": note or None}
+    return _change_state(row, row.state, moment, event_kind, **columns)
 
 
 def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
@@ -299,21 +303,23 @@ def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
         raised_set_index=moment.set_index,
         changed_utc_ns=moment.utc_ns,
         message=condition.message,
-        proof=_proof(condition),
+        proof=_evidence_of(condition),
     )
 
 
-def _as_told(row: AlarmRow, condition: Condition) -> dict[str, Any]:
-    """Give an alarm that is there already what is known of it now."""
+def _updated_columns(row: AlarmRow, condition: Condition) -> dict[str, Any]:
+    """Return severity, message and evidence of an existing alarm, updated with its condition."""
     severity = max(row.severity, condition.severity, key=SEVERITIES.index)
-    return {"severity": severity, "message": condition.message, "proof": _proof(condition)}
+    return {"severity": severity, "message": condition.message, "proof": _evidence_of(condition)}
 
 
-def _proof(condition: Condition) -> dict[str, Any]:
+def _evidence_of(condition: Condition) -> dict[str, Any]:
     return dict(condition.proof) | ({"known": condition.known} if condition.known else {})
 
 
-def _to(row: AlarmRow, state: AlarmState, moment: Moment, event_kind: str, **changed: Any) -> Change:
+def _change_state(
+    row: AlarmRow, state: AlarmState, moment: Moment, event_kind: str, **changed: Any
+) -> Change:
     return Change(
         row=replace(row, **changed, state=state, changed_utc_ns=moment.utc_ns), event_kind=event_kind
     )

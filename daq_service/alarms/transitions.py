@@ -1,4 +1,4 @@
-"""Transitions of an alarm, as its events tell them: who and why."""
+"""Transitions of an alarm from its events, with person and reason."""
 
 from __future__ import annotations
 
@@ -15,23 +15,23 @@ _WHO_AND_WHY: Mapping[str, tuple[str, str]] = {
         ("suppressed_by", "suppressed_because"),
     ),
 }
-"""Columns of the alarm that name who changed it, and why; other transitions have nobody behind them."""
+"""Columns of person and reason by kind of event; other transitions are caused by no person."""
 _BY_THEMSELVES = ("alarm_raised", "alarm_returned", "alarm_worsened")
 
 
 def transition(event: EventRow) -> dict[str, Any]:
-    """Tell an event of the topic ``alarms`` as a transition; times in ns of UTC."""
-    told = event.payload
+    """Convert an event of the topic ``alarms`` to a transition; times in ns of UTC."""
+    payload = event.payload
     who, why = _WHO_AND_WHY.get(event.kind, ("", ""))
     return {
         "event_id": event.id,
         "kind": event.kind,
         "utc_ns": event.utc_ns,
         "wall_utc_ns": event.wall_utc_ns,
-        "state": told.get("state"),
-        "severity": told.get("severity"),
-        "suppressed": told.get("suppressed"),
-        "who": told.get("author") or told.get(who),
-        "why": told.get("message") if event.kind in _BY_THEMSELVES else told.get(why),
-        "shelved_until_utc_ns": told.get("shelved_until_utc_ns"),
+        "state": payload.get("state"),
+        "severity": payload.get("severity"),
+        "suppressed": payload.get("suppressed"),
+        "who": payload.get("author") or payload.get(who),
+        "why": payload.get("message") if event.kind in _BY_THEMSELVES else payload.get(why),
+        "shelved_until_utc_ns": payload.get("shelved_until_utc_ns"),
     }

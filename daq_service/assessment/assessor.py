@@ -1,4 +1,4 @@
-"""What a set says of one position, whatever measured it; and who says it."""
+"""Result of a set at one position, and the interface of the assessors that compute it."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ class PositionResult:
     shot_flags, invalid
         Flags of each record by its sequence, and the sequences of those without trustworthy features.
     note
-        What the reader of the result should know, empty if nothing.
+        Remark on the quality of the result, empty if there is none.
     suspicion
-        Why a confirmation set is wanted, empty if none is.
+        Reason for a confirmation set, empty if none is requested.
     """
 
     features: Sequence[FeatureRow] = ()
@@ -46,29 +46,29 @@ class PositionResult:
 
 
 class Assessor(Protocol):
-    """Judges one position, set after set."""
+    """Assessor of one position, set after set."""
 
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Judge what a set took at this position; ``features`` of its shots by their sequence."""
+        """Assess the records of a set at this position; ``features`` of its shots by their sequence."""
         ...
 
     def assess_unscheduled(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Judge a set beside the plan by what the planned ones say; no chart and no baseline sees it."""
+        """Assess an unscheduled set; control chart and baseline never use it."""
         ...
 
     @property
     def not_assessed_reason(self) -> str:
-        """Why there is nothing to compare a set with; empty: there is."""
+        """Return why a set cannot be compared with a baseline; empty if it can."""
         ...
 
-    def nothing_taken(self, due: DueSet, n_tried: int) -> PositionResult:
-        """Judge a set that gave not one record; ``n_tried`` shots were tried, repetitions not counted."""
+    def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
+        """Assess a set without any record; ``n_tried`` shots were tried, repetitions not counted."""
         ...
 
     def reinstate(self) -> None:
-        """Forget what retired the transducer: a person says that it may be used again."""
+        """Clear the faults that retired the transducer, because a person has reinstated it."""
         ...

@@ -1,4 +1,4 @@
-"""How far a baseline can be trusted, as it is stored with it: size, memory, tails, what stands out of it."""
+"""Quality of a baseline, as stored with it: size, autocorrelation, tail factor and anomalies."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from analysis.statistics.baseline_check import Anomaly, find_anomalies
 from daq_service.assessment.solitary_wave_step import Rules, State
 
 GOOD_SETS = 200
-"""From so many on the chart sees what it can, and slow memory shows."""
+"""From this number on, the chart has its full sensitivity and slow drift is measurable."""
 
 ALIKE = "a feature is the same in most of its sets: what stands out of them cannot be told"
 
 
 def advice(n_sets: int) -> str | None:
-    """Say what a baseline of so many sets lacks; None: nothing."""
+    """Return advice on a baseline with too few sets; None if it has enough."""
     if n_sets >= GOOD_SETS:
         return None
     warned = f"fewer than {ADVISED_SETS} sets: the rate of false alarms is uncertain; "
@@ -26,26 +26,27 @@ def advice(n_sets: int) -> str | None:
 
 
 def readiness_of(state: State, rules: Rules) -> dict[str, Any] | None:
-    """Tell it of a baseline that was just frozen; None: there is none.
+    """Return the quality of a baseline that was just frozen; None if it has no limits.
 
-    Sets are told by their index; ``rate_guaranteed`` is whether the chart keeps to its budget.
+    Sets are listed by index; ``rate_guaranteed``: the chart keeps its design false-alarm rate.
     """
     baseline = state.baseline
     if baseline is None or baseline.fitted is None or baseline.design is None:
         return None
     design, indices = baseline.design, baseline.fitted.set_indices
-    lacking, named = advice(baseline.fitted.n), _named(state)
-    if named is None:
-        lacking = f"{lacking + '; ' if lacking else ''}{ALIKE}"
+    shortcoming, anomalies = advice(baseline.fitted.n), _find_anomalies(state)
+    if anomalies is None:
+        shortcoming = f"{shortcoming + '; ' if shortcoming else ''}{ALIKE}"
     return {
         "n": baseline.fitted.n,
         "n_left_out": state.n_left_out,
-        "advice": lacking,
+        "advice": shortcoming,
         "n_eff": design.n_eff,
         "phi_pooled": design.phi_pooled,
         "tail": design.by_default.tail,
         "named": [
-            {"kind": one.kind, "set_indices": [indices[row] for row in one.rows]} for one in named or ()
+            {"kind": anomaly.kind, "set_indices": [indices[row] for row in anomaly.rows]}
+            for anomaly in anomalies or ()
         ],
         "default_because": design.by_default.reason,
         "false_alarms_per_sensor_year": rules.false_alarms_per_sensor_year,
@@ -54,9 +55,9 @@ def readiness_of(state: State, rules: Rules) -> dict[str, Any] | None:
     }
 
 
-def _named(state: State) -> tuple[Anomaly, ...] | None:
-    """Name what stands out; None: most of the sets do not scatter in some direction."""
+def _find_anomalies(state: State) -> tuple[Anomaly, ...] | None:
+    """Find the anomalies of a baseline; None if most of its sets do not scatter in some direction."""
     try:
-        return find_anomalies(np.array([found.vector() for found in state.healthy]))
+        return find_anomalies(np.array([healthy_set.vector() for healthy_set in state.healthy]))
     except np.linalg.LinAlgError:  # as of records that are played back again and again
         return None

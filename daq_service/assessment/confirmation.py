@@ -1,4 +1,4 @@
-"""Suspicion, and the confirmation set that answers it: pure rules.
+"""Rules of confirmation sets: when one is requested, and what its result means. Pure.
 
 A transducer requests an unscheduled set when a set first exceeds a limit. It is struck at once, assessed and
 shown. It separates a lasting change from one of a single set. The diagnosis state
@@ -16,7 +16,13 @@ import numpy as np
 from analysis.statistics.baseline import Baseline
 from analysis.statistics.distance import distance_squared
 from daq_service.acquisition.schedule import DueSet
-from daq_service.assessment.solitary_wave_step import AssessedSet, Rules, SetAssessment, State, alarms
+from daq_service.assessment.solitary_wave_step import (
+    AssessedSet,
+    Rules,
+    SetAssessment,
+    State,
+    wall_alarm_active,
+)
 from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AssessmentRow, EventRow, SetRow
@@ -29,139 +35,152 @@ STEP = "it is the first set beyond the limit"
 BUDGET_H = 24.0
 """Hours of the test over which confirmation sets are counted."""
 CONFIRMATION_ASKED = "confirmation_asked"
-"""Event: a confirmation set is asked for; its payload is a `Confirmation` without the position."""
+"""Event: a confirmation set is requested; its payload is a `Confirmation` without the position."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Confirmation:
-    """A set beside the plan that somebody asks for.
+    """Request for an unscheduled set at one position.
 
     Attributes
     ----------
     author
-        Who ordered it; empty: suspicion did.
+        Person who requested it; empty: solimon requested it by itself.
     """
 
     due: DueSet
-    because: str
+    reason: str
     author: str = ""
 
     def payload(self) -> dict[str, Any]:
-        """Give what its event tells beside the position."""
+        """Return the payload of its event, without the position."""
         due = self.due
         return {
             "confirmation_set_index": due.set_index,
             "due_h": due.due_h,
             "due_utc_ns": due.due_utc_ns,
-            "because": self.because,
+            "because": self.reason,
             "author": self.author,
         }
 
 
-def asked_by(position: str, payload: Mapping[str, Any]) -> Confirmation:
-    """Read what the event `CONFIRMATION_ASKED` of a position tells."""
+def confirmation_from_payload(position: str, payload: Mapping[str, Any]) -> Confirmation:
+    """Read a request from the payload of a position's event `CONFIRMATION_ASKED`."""
     due = DueSet(
         set_index=payload["confirmation_set_index"],
         due_h=payload["due_h"],
         due_utc_ns=payload["due_utc_ns"],
         position=position,
     )
-    return Confirmation(due=due, because=payload["because"], author=payload["author"])
+    return Confirmation(due=due, reason=payload["because"], author=payload["author"])
 
 
-def suspicion(before: State, after: State, assessment: SetAssessment, rules: Rules) -> str:
-    """Say why a planned set asks for a confirmation; empty: it does not.
+def request_reason(before: State, after: State, assessment: SetAssessment, rules: Rules) -> str:
+    """Return why a scheduled set requests a confirmation set; empty if it requests none.
 
-    Asked once when an outlier comes after `alarms.n` sets without one, and once when the alarm of the wall
-    comes. Both come again only when that was over, which is their hysteresis.
+    A set requests one when it is an outlier after `alarms.n` sets without one, and when the wall alarm
+    becomes active. Each requests again only after its condition has returned to normal (hysteresis).
     """
     if assessment.in_baseline or assessment.outlier is None:
         return ""
-    if alarms(after, rules) and not alarms(before, rules):
+    if wall_alarm_active(after, rules) and not wall_alarm_active(before, rules):
         return ALARM
     return STEP if assessment.outlier and not any(before.alarm.recent) else ""
 
 
-def why_not(
-    position: str, asked: Iterable[Confirmation], *, at_h: float, most_a_day: int, room_ns: float, set_ns: int
+def rejection_reason(
+    position: str,
+    requests: Iterable[Confirmation],
+    *,
+    at_h: float,
+    maximum_per_day: int,
+    available_ns: float,
+    set_ns: int,
 ) -> str:
-    """Say why suspicion gets no confirmation set; empty: it gets one.
+    """Return why a requested confirmation set is rejected; empty if it is accepted.
 
     Parameters
     ----------
-    asked
-        Those of every position so far.
+    requests
+        Earlier requests of every position.
     at_h
         Hour of the test.
-    room_ns, set_ns
-        Time until the next planned set, and how long the set takes.
+    available_ns, set_ns
+        Time until the next scheduled set, and duration of the confirmation set.
     """
-    n_recent = n_today(position, asked, at_h)
-    if n_recent >= most_a_day:
-        return f"{n_recent} of {most_a_day} confirmation sets a day are used (alarms.confirmation_sets_a_day)"
-    return no_room(room_ns, set_ns)
+    n_recent = count_recent(position, requests, at_h)
+    if n_recent >= maximum_per_day:
+        return (
+            f"{n_recent} of {maximum_per_day} confirmation sets a day are used "
+            "(alarms.confirmation_sets_a_day)"
+        )
+    return overlap_reason(available_ns, set_ns)
 
 
-def n_today(position: str, asked: Iterable[Confirmation], at_h: float) -> int:
-    """Count the sets that suspicion has asked for at a transducer over the last `BUDGET_H`."""
-    own = [one for one in asked if one.due.position == position and not one.author]
-    return sum(one.due.due_h > at_h - BUDGET_H for one in own)
+def count_recent(position: str, requests: Iterable[Confirmation], at_h: float) -> int:
+    """Count the sets that solimon itself requested at a transducer in the last `BUDGET_H`."""
+    recent = [request for request in requests if request.due.position == position and not request.author]
+    return sum(request.due.due_h > at_h - BUDGET_H for request in recent)
 
 
-def no_room(room_ns: float, set_ns: int) -> str:
-    """Say that a set would run into the next planned one; empty: it does not."""
-    if set_ns <= room_ns:
+def overlap_reason(available_ns: float, set_ns: int) -> str:
+    """Return why a set would overlap the next scheduled one; empty if it does not."""
+    if set_ns <= available_ns:
         return ""
-    room_s, set_s = room_ns / NS_PER_S, set_ns / NS_PER_S
-    return f"it takes up to {set_s:.0f} s, and the next planned set is due in {max(room_s, 0.0):.0f} s"
+    available_s, set_s = available_ns / NS_PER_S, set_ns / NS_PER_S
+    return f"it takes up to {set_s:.0f} s, and the next planned set is due in {max(available_s, 0.0):.0f} s"
 
 
-def longest_ns(schedule: ScheduleSettings, restrikes: int, read_timeout_s: float) -> int:
-    """Bound the time that one transducer's set takes, its repeated strikes and one lost record included."""
+def longest_set_ns(schedule: ScheduleSettings, restrikes: int, read_timeout_s: float) -> int:
+    """Return the maximum duration of a transducer's set, with its repeated strikes and one lost record."""
     strikes = schedule.shots_per_set + restrikes
     return round((strikes * schedule.shot_interval_s + read_timeout_s) * NS_PER_S)
 
 
-def next_number(asked: Iterable[Confirmation], planned_set: int) -> int | None:
-    """Give the number of the next set beside the plan after a planned one; None: there are too many."""
-    places = (in_order(one.due.set_index) for one in asked)
-    number = 1 + max((beside for planned, beside in places if planned == planned_set), default=0)
+def next_unscheduled_number(requests: Iterable[Confirmation], planned_set: int) -> int | None:
+    """Return the number of the next unscheduled set after a scheduled one; None if there are too many."""
+    numbers = (in_order(request.due.set_index) for request in requests)
+    number = 1 + max((extra for scheduled, extra in numbers if scheduled == planned_set), default=0)
     return number if number <= MOST_EXTRA else None
 
 
-def confirms(judged: Sequence[AssessedSet], baseline: Baseline, vector: Sequence[float]) -> bool | None:
-    """Tell whether a set lies where the suspect planned sets do, rather than where the baseline does.
+def confirms_change(
+    assessed: Sequence[AssessedSet], baseline: Baseline, vector: Sequence[float]
+) -> bool | None:
+    """Return whether a set is nearer to the suspect scheduled sets than to the baseline.
 
-    Of two normal populations of the baseline's covariance it is the likelier one: the one whose mean is
-    nearer by the Mahalanobis distance.
+    Both are normal populations with the baseline's covariance; the likelier one has the nearer mean by the
+    Mahalanobis distance.
 
     Parameters
     ----------
-    judged
-        The last planned sets, at most n: suspect are those beyond the limit, or where none is (the chart has
-        seen what no single set shows) all of them.
+    assessed
+        The last scheduled sets, at most n. Suspect are those above the limit; if none is, all of them,
+        because the chart has detected a change that no single set shows.
     vector
         The confirmation set's five features.
     """
-    suspects = [found.vector for found in judged if found.outlier] or [found.vector for found in judged]
+    suspects = [assessed_set.vector for assessed_set in assessed if assessed_set.outlier] or [
+        assessed_set.vector for assessed_set in assessed
+    ]
     if not suspects:
         return None
     shift = np.mean(np.array(suspects), axis=0) - baseline.mean
-    own = np.array(vector)
-    from_baseline, from_suspects = distance_squared(np.stack([own, own - shift]), baseline)
+    features = np.array(vector)
+    from_baseline, from_suspects = distance_squared(np.stack([features, features - shift]), baseline)
     return bool(from_suspects < from_baseline)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Confirmed:
-    """What a confirmation set says, as an alarm's proof holds it.
+class ConfirmationResult:
+    """Result of a confirmation set, as stored in the evidence of an alarm.
 
     Attributes
     ----------
     confirms
-        None: it cannot tell, and ``why_not`` says why.
+        None: undetermined, for the reason ``why_not``.
     distance_squared, limit
-        To the baseline, and the limit that judges sets; None: not judged.
+        Distance from the baseline, and the limit of sets; None: not assessed.
     """
 
     set_index: int
@@ -174,12 +193,12 @@ class Confirmed:
 
     @property
     def after_set(self) -> int:
-        """The planned set that it follows."""
+        """Return the index of the scheduled set that it follows."""
         return in_order(self.set_index)[0]
 
 
-def confirmed(its_set: SetRow, assessment: AssessmentRow | None) -> Confirmed:
-    """Sum up the rows of a confirmation set; ``verdict`` None: not one record was taken."""
+def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) -> ConfirmationResult:
+    """Summarize the rows of a confirmation set; ``assessment`` is None if it has no record."""
     facts: dict[str, Any] = {
         "set_index": its_set.set_index,
         "utc_ns": its_set.due_utc_ns,
@@ -187,25 +206,31 @@ def confirmed(its_set: SetRow, assessment: AssessmentRow | None) -> Confirmed:
         "confirms": None if assessment is None else assessment.confirms,
     }
     if assessment is None:
-        return Confirmed(**facts, why_not=its_set.cause)
+        return ConfirmationResult(**facts, why_not=its_set.cause)
     limit = limits_by_name(assessment).get(assessment.limit_name)
-    return Confirmed(
+    return ConfirmationResult(
         **facts, distance_squared=assessment.distance_squared, limit=limit, why_not=assessment.reason
     )
 
 
-def asked_so_far(catalogue: Catalogue) -> list[Confirmation]:
-    """Read everything that was asked for, in that order."""
+def read_confirmations(catalogue: Catalogue) -> list[Confirmation]:
+    """Read all requests for confirmation sets, in their order."""
     events = catalogue.rows(EventRow, topic="service", kind=CONFIRMATION_ASKED)
-    return [asked_by(event.position, event.payload) for event in events if event.position is not None]
+    return [
+        confirmation_from_payload(event.position, event.payload)
+        for event in events
+        if event.position is not None
+    ]
 
 
-def confirmation_of(catalogue: Catalogue, position: str, set_index: int | None = None) -> Confirmed | None:
-    """Give the newest confirmation set of a position, of all or after a planned set; None: there is none."""
+def newest_confirmation(
+    catalogue: Catalogue, position: str, set_index: int | None = None
+) -> ConfirmationResult | None:
+    """Read the newest confirmation set of a position, of all or after a scheduled set; None if none."""
     rows = catalogue.rows(SetRow, position=position, purpose="confirmation")
-    after = [row for row in rows if set_index is None or in_order(row.set_index)[0] == set_index]
-    if not after:
+    following = [row for row in rows if set_index is None or in_order(row.set_index)[0] == set_index]
+    if not following:
         return None
-    newest = max(after, key=lambda row: in_order(row.set_index))
+    newest = max(following, key=lambda row: in_order(row.set_index))
     assessments = catalogue.rows(AssessmentRow, position=position, set_index=newest.set_index)
-    return confirmed(newest, assessments[0] if assessments else None)
+    return summarize_confirmation(newest, assessments[0] if assessments else None)

@@ -1,4 +1,4 @@
-"""What a change comes from, for the recorder: memory of `analysis.diagnosis`, and words for operators."""
+"""Diagnosis of a change for the recorder: stored state of `analysis.diagnosis`, and texts for operators."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from analysis.errors import SingularCovarianceError
 from analysis.statistics.rules import MINIMUM_SETS
 
 NOT_THE_WALL = frozenset({SENSOR, COUPLING, ENVIRONMENT})
-"""A change that surely comes from one of these is no alarm of the wall."""
+"""A change with one of these diagnoses raises no wall alarm."""
 ASKED_TWICE = frozenset({WALL, COUPLING})
-"""Causes that two sets running or a confirmation set have named."""
+"""Diagnoses that two consecutive sets or a confirmation set have confirmed."""
 
 Values = Mapping[str, float | None]
 
@@ -46,7 +46,7 @@ SENTENCES: Mapping[str, tuple[str, str]] = {
         "treat it as the wall until it is known: compare with the control position, then inspect",
     ),
 }
-"""By cause: what is seen, and what to do."""
+"""By diagnosis: observation and action."""
 ABRUPT = (
     "something has changed from one set to the next",
     "abrupt: inspect the contact first; where it sits well, treat it as the wall",
@@ -56,52 +56,52 @@ ABRUPT = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Origin:
-    """Where the change of a transducer comes from, as its alarm tells it.
+    """Class of a transducer's change on which its alarm is based.
 
     Attributes
     ----------
-    elsewhere
-        From one of `NOT_THE_WALL`.
-    otherwise
-        Sets running whose cause says otherwise.
+    not_wall
+        The diagnosis is one of `NOT_THE_WALL`.
+    n_contrary
+        Consecutive sets with a contrary diagnosis.
     """
 
-    elsewhere: bool = False
-    otherwise: int = 0
+    not_wall: bool = False
+    n_contrary: int = 0
 
 
-def next_origin(before: Origin, cause: str, *, stood: bool, n: int) -> Origin:
-    """Take in the cause of one more set, so that no alarm changes its kind with each set of an unsure cause.
+def next_origin(before: Origin, cause: str, *, was_active: bool, n: int) -> Origin:
+    """Update the origin with the diagnosis of one more set; an uncertain diagnosis does not switch the alarm.
 
     Parameters
     ----------
-    stood
-        An alarm of the change stood before this set: then only what was asked twice, or n sets running,
-        make it another one, and `OK` says nothing.
+    was_active
+        The alarm was active before this set. Then only a confirmed diagnosis or n consecutive sets change
+        its kind, and `OK` changes nothing.
     """
-    if stood and cause == OK:
+    if was_active and cause == OK:
         return before
-    says = cause in NOT_THE_WALL
-    if says == before.elsewhere:
-        return Origin(elsewhere=says)
-    otherwise = before.otherwise + 1
-    if not stood or cause in ASKED_TWICE or otherwise >= n:
-        return Origin(elsewhere=says)
-    return replace(before, otherwise=otherwise)
+    not_wall = cause in NOT_THE_WALL
+    if not_wall == before.not_wall:
+        return Origin(not_wall=not_wall)
+    n_contrary = before.n_contrary + 1
+    if not was_active or cause in ASKED_TWICE or n_contrary >= n:
+        return Origin(not_wall=not_wall)
+    return replace(before, n_contrary=n_contrary)
 
 
 def averages_of(memory: DiagnosisState) -> dict[str, list[float]]:
-    """Give what is remembered as averages by name, beside those of the charts."""
+    """Return the diagnosis state as named averages, as stored with those of the charts."""
     changes = {name: list(change) for name, change in zip(_NAMES, memory.changes, strict=True)}
     index = -1 if memory.index is None else memory.index
-    found = {
+    averages = {
         _COUNT: [float(memory.n), float(memory.wall), float(memory.likely)],
         **changes,
         _PLACE: [float(number) for number in (index, memory.gap, memory.gap_ago, memory.confirmation_ago)],
     }
     if memory.confirmation:
-        found[_CONFIRMATION] = list(memory.confirmation)
-    return found | ({_MOVED: list(memory.moved)} if memory.moved else {})
+        averages[_CONFIRMATION] = list(memory.confirmation)
+    return averages | ({_MOVED: list(memory.moved)} if memory.moved else {})
 
 
 _COUNT, _PLACE, _CONFIRMATION, _MOVED = "changes_count", "changes_place", "changes_beside", "changes_moved"
@@ -110,7 +110,7 @@ _NAMES = tuple(f"changes_{rate:g}" for rate in RATES)
 
 
 def restored_diagnosis_state(averages: Mapping[str, Sequence[float]]) -> DiagnosisState | None:
-    """Give back what `averages_of` gave; None: an earlier version kept none."""
+    """Restore the state from the result of `averages_of`; None if an earlier version stored none."""
     if _COUNT not in averages:
         return None
     n, wall, *likely = averages[_COUNT]  # an earlier version kept two
@@ -129,69 +129,69 @@ def restored_diagnosis_state(averages: Mapping[str, Sequence[float]]) -> Diagnos
     )
 
 
-def kept_origin(origin: Origin) -> dict[str, list[float]]:
-    """Give what is kept of it, beside the averages."""
-    return {_ORIGIN: [float(origin.elsewhere), float(origin.otherwise)]}
+def origin_values(origin: Origin) -> dict[str, list[float]]:
+    """Return the origin as named values, as stored with the averages."""
+    return {_ORIGIN: [float(origin.not_wall), float(origin.n_contrary)]}
 
 
 def origin_of(averages: Mapping[str, Sequence[float]], cause: str) -> Origin:
-    """Give back what `kept_origin` gave; an earlier version kept none, and went by the last cause."""
+    """Restore the origin from the result of `origin_values`; earlier versions used the last diagnosis."""
     if _ORIGIN not in averages:
-        return Origin(elsewhere=cause in NOT_THE_WALL)
-    elsewhere, otherwise = averages[_ORIGIN]
-    return Origin(elsewhere=bool(elsewhere), otherwise=int(otherwise))
+        return Origin(not_wall=cause in NOT_THE_WALL)
+    not_wall, n_contrary = averages[_ORIGIN]
+    return Origin(not_wall=bool(not_wall), n_contrary=int(n_contrary))
 
 
-def design_of_causes(healthy: Sequence[tuple[int, Values]]) -> DiagnosisParameters | None:
-    """Design from a baseline's sets and their indices; None: too few, or a feature is constant."""
-    logs = [(index, found) for index, values in healthy if (found := logs_of(values)) is not None]
+def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> DiagnosisParameters | None:
+    """Fit the parameters to a baseline's sets by index; None if too few, or a feature is constant."""
+    logs = [(index, components) for index, values in healthy if (components := logs_of(values)) is not None]
     if len(logs) < MINIMUM_SETS:
         return None
     first = logs[0][0]
     history = np.full((logs[-1][0] - first + 1, len(COMPONENTS)), np.nan)
-    for index, found in logs:
-        history[index - first] = found
+    for index, components in logs:
+        history[index - first] = components
     try:
         return diagnosis_parameters(history, first)
     except SingularCovarianceError:
         return None
 
 
-def cause_after(
+def diagnose_scheduled(
     memory: DiagnosisState, design: DiagnosisParameters, index: int, values: Values, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis | None]:
-    """Take in one more set of the plan and say what the sets so far mean; None: it lacks a feature."""
+    """Update the state with a scheduled set and diagnose; None if the set lacks a feature."""
     logs = logs_of(values)
     if logs is None:
         return memory, None
-    return _said(with_set(memory, design.mean, logs, index), design, suspicious=suspicious)
+    return _diagnose(with_set(memory, design.mean, logs, index), design, suspicious=suspicious)
 
 
-def cause_confirmed(
+def diagnose_confirmation(
     memory: DiagnosisState, design: DiagnosisParameters, values: Values
 ) -> tuple[DiagnosisState, Diagnosis | None]:
-    """Take in a set struck beside the plan because of the last planned ones, and say what they mean now."""
+    """Update the state with a confirmation set and diagnose; None if the set lacks a feature."""
     logs = logs_of(values)
     if logs is None:
         return memory, None
-    return _said(with_confirmation(memory, design.mean, logs), design, suspicious=True)
+    return _diagnose(with_confirmation(memory, design.mean, logs), design, suspicious=True)
 
 
-def _said(
+def _diagnose(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis]:
     assessment = diagnosis_of(memory, design, suspicious=suspicious)
     return state_with_diagnosis(memory, assessment), assessment
 
 
-def words_of(cause: str, abrupt: float) -> tuple[str, str]:
-    """Say for operators what is seen and what to do."""
+def operator_texts(cause: str, abrupt: float) -> tuple[str, str]:
+    """Return observation and action of a diagnosis, for operators."""
     return ABRUPT if cause == UNDETERMINED and abrupt > 0.5 else SENTENCES[cause]
 
 
-def experiment_text(assessment: Diagnosis) -> dict[str, Any]:
-    """Give what stands in a verdict's row beside cause and probability."""
-    sentence, action = words_of(assessment.cause, assessment.abrupt)
+def diagnosis_details(assessment: Diagnosis) -> dict[str, Any]:
+    """Return the details of a diagnosis for an assessment row, besides cause and probability."""
+    sentence, action = operator_texts(assessment.cause, assessment.abrupt)
     return {
         "sentence": sentence,
         "action": action,
@@ -202,10 +202,12 @@ def experiment_text(assessment: Diagnosis) -> dict[str, Any]:
     }
 
 
-def said(row_cause: str | None, probability: float | None, told: Mapping[str, Any] | None) -> str:
-    """Say cause, probability, sentence and action in one; empty where nothing is known."""
-    if row_cause is None or told is None or probability is None:
+def diagnosis_text(
+    row_cause: str | None, probability: float | None, details: Mapping[str, Any] | None
+) -> str:
+    """Return cause, probability, observation and action as one text; empty if there is no diagnosis."""
+    if row_cause is None or details is None or probability is None:
         return ""
-    # Of what cannot be told the probability is that of the likeliest cause, which is not named.
-    sure = f" ({100.0 * probability:.0f} %)" if row_cause in (OK, *CAUSES) else ""
-    return f"{row_cause.upper()}{sure}: {told['sentence']}; {told['action']}"
+    # If undetermined, the probability is that of the likeliest cause, which is not shown.
+    percent = f" ({100.0 * probability:.0f} %)" if row_cause in (OK, *CAUSES) else ""
+    return f"{row_cause.upper()}{percent}: {details['sentence']}; {details['action']}"

@@ -1,7 +1,7 @@
-"""The measuring methods: what each asks of a set, keeps as rows, is judged by and shows.
+"""The measuring methods: records of a set, rows, assessor and values of each.
 
-A further method is an entry here, beside its name (`hardware_drivers.methods`), the way a set takes it
-(`acquisition.take_set`), its kind of row and its assessor.
+A new method needs an entry here, a name (`hardware_drivers.methods`), an acquisition
+(`acquisition.take_set`), a kind of row and an assessor.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class MeasuringMethod:
-    """What the line and its views know of a method.
+    """Properties of a measuring method.
 
     Attributes
     ----------
     row, of_sets
-        Kind of row of its results, and what chooses those of whole sets among them.
+        Kind of row of its results, and the filter that selects the rows of complete sets.
     records_planned
-        How many records a set wants at a position.
+        Number of records of a set at a position.
     has_baseline
-        A set is judged against the healthy ones, which are recorded first.
+        Whether sets are compared with a baseline, which is recorded first.
     restored
-        Makes a position's assessor, judging as if the recorder had never been away. Takes the position, the
-        settings, the catalogue, the archive and whether records are a rehearsal's noise.
+        Function that restores a position's assessor to its state before the restart. Its arguments are the
+        position, the settings, the catalogue, the archive, and whether records are noise of a rehearsal.
     """
 
     row: type[FeatureRow] | type[ThicknessRow]
@@ -45,7 +45,7 @@ class MeasuringMethod:
 
     @property
     def values(self) -> tuple[str, ...]:
-        """Names of the measured values, units in the names."""
+        """Return the names of the measured values, with units in the names."""
         return measured(self.row)
 
 
@@ -67,4 +67,4 @@ METHODS: Mapping[Method, MeasuringMethod] = MappingProxyType(
         ),
     }
 )
-"""By name, in the order in which their instruments' trouble is told."""
+"""Methods by name, in the order in which errors of their instruments are reported."""

@@ -1,4 +1,4 @@
-"""How a position stands, in one word, and whether its data is older than it should be."""
+"""Status of a position, and whether its data are older than they should be."""
 
 from __future__ import annotations
 
@@ -17,27 +17,27 @@ STALE_INTERVALS = 1.5
 PositionStatus = Literal[
     "no_data", "normal", "learning", "not_judged", "outlier", "shelved", "out_of_service", "retired", "alarm"
 ]
-"""Statuses of a position in rising urgency: an alarm calls for a person, who knows of a retirement."""
+"""Statuses of a position in rising urgency: an alarm needs a person, a retirement is known to one."""
 
 
 def status_of(last: LatestRows) -> PositionStatus:
-    """Return the status of a position; of one that has an alarm it never is ``normal``.
+    """Return the status of a position; it is never ``normal`` while an alarm is active.
 
     Parameters
     ----------
     last
-        Its alarms as they are now (`Freshness.standing_word`): a shelf that has expired hides none.
+        Its latest rows, with the current alarms (`Freshness.standing_word`): an expired shelf hides none.
     """
     assessment = last.last_verdict
     if retired_positions(last.active_alarms):
         return "retired"
     if last.last_set is None:
         return "no_data"
-    how_suppressed = {row.suppressed for row in last.active_alarms if row.kind != NOT_ASSESSED}
-    if None in how_suppressed:
+    suppressions = {row.suppressed for row in last.active_alarms if row.kind != NOT_ASSESSED}
+    if None in suppressions:
         return "alarm"
-    if how_suppressed:
-        return "out_of_service" if "out_of_service" in how_suppressed else "shelved"
+    if suppressions:
+        return "out_of_service" if "out_of_service" in suppressions else "shelved"
     if assessment is not None and assessment.outlier:
         return "outlier"
     if not METHODS[last.method].has_baseline or (assessment is not None and assessment.outlier is not None):
@@ -46,9 +46,9 @@ def status_of(last: LatestRows) -> PositionStatus:
 
 
 def limit_of(last: LatestRows, settings: Settings) -> float | None:
-    """Return the limit that decides: thickness in m of a probe, of a transducer that of an outlier.
+    """Return the limit of a position: minimum thickness in m of a probe, outlier limit of a transducer.
 
-    None: there is none yet.
+    None if there is no limit yet.
     """
     if not METHODS[last.method].has_baseline:
         return settings.thinnest_m
@@ -59,9 +59,9 @@ def limit_of(last: LatestRows, settings: Settings) -> float | None:
 
 
 def data_hour(last: LatestRows) -> float | None:
-    """Return the hour of the newest set with data; None before it.
+    """Return the hour of the newest set with data; None before the first one.
 
-    A set that was missed, or planned for a retired transducer, brings none: the data age on.
+    A set that was missed, or scheduled for a retired transducer, has no data.
     """
     return max(
         (row.due_h for row in (last.last_feature, last.last_thickness) if row is not None), default=None
@@ -69,14 +69,14 @@ def data_hour(last: LatestRows) -> float | None:
 
 
 def is_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
-    """Tell that the newest set is older than the cadence explains, or nobody records any more."""
+    """Return whether the newest set is older than the schedule explains, or no recorder runs."""
     if age_h is None or fresh.recorder.status in {"silent", "absent", "stopped"}:
         return True
     return age_h > STALE_INTERVALS * interval_at(schedule, fresh.now_h)
 
 
 def interval_at(schedule: ScheduleSettings, hour: float) -> float:
-    """Hours between two sets at an hour of the test; after the end, the last phase's."""
+    """Return the hours between two sets at an hour of the test; after the end, those of the last phase."""
     for phase in schedule.phases:
         if hour <= phase.until_h:
             return phase.interval_h

@@ -1,4 +1,4 @@
-"""From a pulse-echo record to the wall's thickness and the condition of its alarm (equation 17)."""
+"""Wall thickness from a pulse-echo record, and the condition of its alarm (equation 17)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ FORMULA = "th = th0 - (UT0 - UT) / (UT0 - D) th0, equation 17"
 
 
 class PulseEchoAssessor:
-    """Follows the wall under one ultrasonic probe; the first record with an echo is its reference."""
+    """Assessor of one ultrasonic probe; the first record with an echo is its reference."""
 
     def __init__(self, position: str, settings: Settings) -> None:
         self.position = position
@@ -41,17 +41,17 @@ class PulseEchoAssessor:
         self._alarm = AlarmState()
         self._reference: EchoReference | None = None
 
-    def refer_to(self, waveform: Waveform) -> None:
-        """Take the first good record of the test as the reference again."""
+    def set_reference(self, waveform: Waveform) -> None:
+        """Set the reference to the first good record of the test."""
         self._reference = self._take_reference(waveform, self._settings.ultrasound.initial_thickness_m)
 
-    def refer_to_later(self, waveform: Waveform, *, reading: ThicknessRow, first: ThicknessRow) -> None:
-        """Let a later record stand in for the lost one of the first reading.
+    def set_later_reference(self, waveform: Waveform, *, reading: ThicknessRow, first: ThicknessRow) -> None:
+        """Set the reference to a later record, because that of the first reading is lost.
 
         Raises
         ------
         EchoNotFoundError
-            No back wall stands out.
+            No back-wall echo is found.
         """
         assert reading.travel_time_s is not None
         assert reading.thickness_m is not None
@@ -63,16 +63,16 @@ class PulseEchoAssessor:
         )
 
     def feed(self, row: ThicknessRow) -> None:
-        """Take in a reading: a new one, or one that was judged before."""
+        """Update the alarm state with a reading, new or stored."""
         self._alarm = next_alarm_state(self._alarm, self.too_thin(row), self._rule)
 
     def reinstate(self) -> None:
-        """Forget nothing: a probe never retires."""
+        """Do nothing, because a probe is never retired."""
 
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Judge the record of this probe, if there is one."""
+        """Assess the record of this probe, if there is one."""
         del features
         echoes = [echo for echo in record.echoes if echo.key.position == self.position]
         return self.assess(due, echoes[0]) if echoes else PositionResult()
@@ -80,21 +80,21 @@ class PulseEchoAssessor:
     def assess_unscheduled(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
     ) -> PositionResult:
-        """Refuse it: nobody asks a probe to confirm."""
+        """Raise an error, because a probe takes no confirmation sets."""
         raise AssertionError(f"{due} is no set of a striker")
 
     @property
     def not_assessed_reason(self) -> str:
-        """Nobody asks a probe to confirm."""
+        """Return why no confirmation set is possible."""
         return "a probe has no baseline"
 
-    def nothing_taken(self, due: DueSet, n_tried: int) -> PositionResult:
-        """Say nothing: that the probe's instrument did not answer is the rig's alarm."""
+    def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
+        """Return an empty result: an instrument that does not respond is an alarm of the rig."""
         del due, n_tried
         return PositionResult()
 
     def assess(self, due: DueSet, echo: PulseEchoRecord) -> PositionResult:
-        """Thickness of one record."""
+        """Compute the thickness of one record and the condition of its alarm."""
         settings = self._settings.ultrasound
         row = ThicknessRow(
             set_index=due.set_index,
@@ -108,32 +108,32 @@ class PulseEchoAssessor:
         interval: ThicknessInterval | None = None
         try:
             if self._reference is None:
-                self.refer_to(echo.waveform)
+                self.set_reference(echo.waveform)
                 assert self._reference is not None
-            found = travel_time(echo.waveform, self._reference)
+            travel = travel_time(echo.waveform, self._reference)
             wall = thickness(
-                found.travel_time_s,
+                travel.travel_time_s,
                 self._reference.travel_time_s,
                 settings.delay_s,
                 settings.initial_thickness_m,
                 settings.element_separation_m,
             )
-            interval = self._interval(found, self._reference)
+            interval = self._interval(travel, self._reference)
         except AnalysisError as error:
             reason = str(error)
         else:
-            reason = found.reason
+            reason = travel.reason
             row = replace(
                 row,
-                quality=found.quality,
-                travel_time_s=_known(found.travel_time_s),
-                thickness_m=_known(wall.thickness_m),
-                thickness_loss_m=_known(wall.thickness_loss_m),
-                correlation_coefficient=_known(found.correlation_coefficient),
+                quality=travel.quality,
+                travel_time_s=_finite_or_none(travel.travel_time_s),
+                thickness_m=_finite_or_none(wall.thickness_m),
+                thickness_loss_m=_finite_or_none(wall.thickness_loss_m),
+                correlation_coefficient=_finite_or_none(travel.correlation_coefficient),
             )
         flags = _flags(row, echo)
         if "clipped" in flags and row.quality == "good":
-            # Both ends of the carrier are cut alike: the time stands, the amplitude does not.
+            # Both half-waves of the carrier are clipped alike: the time is right, the amplitude is not.
             row = replace(row, quality="suspect")
             reason = "the record is clipped: lower the gain or take a larger range"
         self.feed(row)
@@ -148,22 +148,24 @@ class PulseEchoAssessor:
         )
 
     def interval_m(self, waveform: Waveform) -> tuple[float, float] | None:
-        """Return the ends of the 95 % interval of the thickness that a record shows; None where it has none.
+        """Compute the 95 % interval of the thickness of a record, in m; None if it has none.
 
         Raises
         ------
         AnalysisError
-            The record has no back wall.
+            The record has no back-wall echo.
         """
         if self._reference is None:
             return None
-        low_m, high_m = _ends(self._interval(travel_time(waveform, self._reference), self._reference))
+        low_m, high_m = _interval_limits(
+            self._interval(travel_time(waveform, self._reference), self._reference)
+        )
         return (low_m, high_m) if math.isfinite(low_m + high_m) else None
 
-    def _interval(self, found: TravelTime, reference: EchoReference) -> ThicknessInterval:
+    def _interval(self, travel: TravelTime, reference: EchoReference) -> ThicknessInterval:
         settings = self._settings.ultrasound
         return thickness_interval(
-            found, reference, settings.initial_thickness_m, settings.element_separation_m
+            travel, reference, settings.initial_thickness_m, settings.element_separation_m
         )
 
     def _take_reference(self, waveform: Waveform, thickness_m: float) -> EchoReference:
@@ -176,7 +178,7 @@ class PulseEchoAssessor:
         )
 
     def too_thin(self, row: ThicknessRow) -> bool | None:
-        """Tell whether a reading lies beyond the limit; None where it says nothing."""
+        """Return whether the wall loss of a reading exceeds the limit; None for a bad reading."""
         loss_m = row.thickness_loss_m
         if row.quality == "bad" or loss_m is None or not math.isfinite(loss_m):
             return None
@@ -189,8 +191,8 @@ class PulseEchoAssessor:
     def _condition(self, due: DueSet, row: ThicknessRow, interval: ThicknessInterval | None) -> Condition:
         fraction = self._settings.alarms.thickness_loss_fraction
         initial_m = self._settings.ultrasound.initial_thickness_m
-        remaining, loss_m = row.thickness_m, row.thickness_loss_m
-        read = "" if remaining is None else f" (now {remaining * 1e3:.2f} mm)"
+        remaining_m, loss_m = row.thickness_m, row.thickness_loss_m
+        reading_text = "" if remaining_m is None else f" (now {remaining_m * 1e3:.2f} mm)"
         return Condition(
             position=self.position,
             kind="thickness",
@@ -201,15 +203,15 @@ class PulseEchoAssessor:
             message=(
                 f"{sum(self._alarm.recent)} of the last {len(self._alarm.recent)} readings at "
                 f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm"
-                f"{read}: inspect the wall"
+                f"{reading_text}: inspect the wall"
             ),
             proof={
                 "formula": FORMULA,
                 "rule": {"k": self._rule.k, "n": self._rule.n},
                 "set_index": due.set_index,
-                "thickness_m": remaining,
-                "interval_m": None if remaining is None or interval is None else _ends(interval),
-                "roughness_rms_m": None if interval is None else _known(interval.roughness_rms_m),
+                "thickness_m": remaining_m,
+                "interval_m": None if remaining_m is None or interval is None else _interval_limits(interval),
+                "roughness_rms_m": None if interval is None else _finite_or_none(interval.roughness_rms_m),
                 "limit_m": self._settings.thinnest_m,
                 "travel_time_s": row.travel_time_s,
                 "reference_travel_time_s": None if self._reference is None else self._reference.travel_time_s,
@@ -219,17 +221,17 @@ class PulseEchoAssessor:
         )
 
 
-def _known(value: float) -> float | None:
-    """Return the value, None where there is none."""
+def _finite_or_none(value: float) -> float | None:
+    """Return a finite value, or None."""
     return value if math.isfinite(value) else None
 
 
-def _ends(interval: ThicknessInterval) -> list[float]:
-    """95 % interval of the mean thickness under the beam."""
+def _interval_limits(interval: ThicknessInterval) -> list[float]:
+    """Return the limits of the 95 % interval of the mean thickness under the beam, in m."""
     return [interval.low_m, interval.high_m]
 
 
 def _flags(row: ThicknessRow, echo: PulseEchoRecord) -> tuple[str, ...]:
-    """Return the flags of an echo; in a mean of records, clipping shows only in what the instrument says."""
+    """Return the flags of an echo; only the instrument knows whether averaged records were clipped."""
     clipped = echo.waveform.clipped or float(echo.settings.get("clipped_records", 0.0)) > 0.0
     return (("no_echo",) if row.quality == "bad" else ()) + (("clipped",) if clipped else ())

@@ -1,7 +1,7 @@
-"""Assessors that know what the catalogue and the archive hold: a restart feeds the sets that they remember.
+"""Restore the state of assessors from catalogue and archive after a restart.
 
-The assessors, and the numerics below them, are imported when one is made: the web only asks what methods
-there are.
+The assessors, and the numerics that they need, are imported when one is created: the web service only needs
+the names of the methods.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from analysis.statistics.rules import AlarmRule, determines_state
 from analysis.waves.quality_gate import ACCEPTED
 from daq_service.alarms.states import RETIRING
 from daq_service.archive import CorruptArchiveError, SetNotFoundError, SetReader, SetReference
-from daq_service.assessment.baseline_lifecycle import planned
+from daq_service.assessment.baseline_lifecycle import baseline_range
 from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import (
@@ -33,7 +33,7 @@ from hardware_drivers.measurement import in_order
 log = logging.getLogger(__name__)
 
 LOOK_BACK_SETS = (64, 1024, None)
-"""How many sets a restart reads; as a rule the first look tells all that a recorder would remember."""
+"""Numbers of sets that a restart reads, one after the other; the first one is usually sufficient."""
 NEVER = 2**63 - 1
 
 if TYPE_CHECKING:
@@ -46,12 +46,12 @@ if TYPE_CHECKING:
 def restored_solitary_wave(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> SolitaryWaveAssessor:
-    """Give the assessor of a transducer, fed with the sets that count and a person's word to reinstate it."""
+    """Restore the assessor of a transducer from its stored sets and its last reinstatement."""
     from daq_service.assessment.solitary_wave import SolitaryWaveAssessor
 
     del archive
     stored = catalogue.baseline(position)
-    baseline = planned(position, settings, stored)
+    baseline = baseline_range(position, settings, stored)
     assessor = SolitaryWaveAssessor(
         position,
         settings,
@@ -59,77 +59,79 @@ def restored_solitary_wave(
         rehearsal=rehearsal,
         has_chart=stored is None or stored.state == "collecting" or stored.limits is not None,
     )
-    reinstated_at = _first_set_reinstated(position, catalogue)
+    reinstated_at = _first_set_after_reinstatement(position, catalogue)
     first, last = baseline.first_set, baseline.last_set
     healthy = catalogue.rows(SetRow, position=position, tried=True, first_set=first, last_set=last)
     recent = _recent_sets(position, settings, catalogue, reinstated_at)
     sets = [*healthy, *(row for row in recent if row.set_index > last)]
-    since = max([last + 1, *(row.set_index for row in recent[:1])])
+    first_after = max([last + 1, *(row.set_index for row in recent[:1])])
     features = {
         row.set_index: row
-        for begin, end in ((first, last), (since, None))
-        for row in catalogue.rows(FeatureRow, position=position, scope="set", first_set=begin, last_set=end)
+        for first_index, last_index in ((first, last), (first_after, None))
+        for row in catalogue.rows(
+            FeatureRow, position=position, scope="set", first_set=first_index, last_set=last_index
+        )
     }
     assessments = {
-        row.set_index: row for row in catalogue.rows(AssessmentRow, position=position, first_set=since)
+        row.set_index: row for row in catalogue.rows(AssessmentRow, position=position, first_set=first_after)
     }
-    for part in (
+    for group in (
         [row for row in sets if row.set_index < reinstated_at],
         [row for row in sets if row.set_index >= reinstated_at],
     ):
         assessor.reinstate()
-        for found in _fed(position, catalogue, part, features, settings.alarms.hole_sets):
-            assessor.feed(found, assessments.get(found.set_index))
-    beside = catalogue.rows(AssessmentRow, position=position, purpose="confirmation")
-    if beside:
-        newest = max(beside, key=lambda row: in_order(row.set_index))
+        for set_of_shots in _sets_of_shots(position, catalogue, group, features, settings.alarms.hole_sets):
+            assessor.feed(set_of_shots, assessments.get(set_of_shots.set_index))
+    unscheduled = catalogue.rows(AssessmentRow, position=position, purpose="confirmation")
+    if unscheduled:
+        newest = max(unscheduled, key=lambda row: in_order(row.set_index))
         assessor.feed_unscheduled(in_order(newest.set_index)[0], newest)
     return assessor
 
 
-def _first_set_reinstated(position: str, catalogue: Catalogue) -> int:
-    """Find the first set that was committed since a transducer was last reinstated; 0: it never was.
+def _first_set_after_reinstatement(position: str, catalogue: Catalogue) -> int:
+    """Find the first set that was committed after a transducer was last reinstated; 0 if it never was.
 
-    By the order of commits: a set may be taken long after it was due.
+    The order of commits counts, because a set may be recorded long after it was due.
     """
-    told = catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position=position)
-    resets = [event.id or 0 for event in told if event.payload["kind"] in RETIRING]
+    events = catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position=position)
+    resets = [event.id or 0 for event in events if event.payload["kind"] in RETIRING]
     if not resets:
         return 0
     first = catalogue.rows(EventRow, topic="sets", position=position, after_id=resets[-1], limit=1)
     if not first or first[0].set_index is None:
         return NEVER
-    index, beside = in_order(first[0].set_index)
-    return index + 1 if beside else index
+    index, extra = in_order(first[0].set_index)
+    return index + 1 if extra else index
 
 
 def _recent_sets(position: str, settings: Settings, catalogue: Catalogue, reinstated_at: int) -> list[SetRow]:
-    """List the last sets of a transducer, as far back as its memory reaches; untried ones say nothing."""
+    """Read the last sets of a transducer that its state depends on; sets that were not tried do not count."""
     baseline = catalogue.baseline(position)
-    judged = baseline is not None and bool(limits_by_name(baseline))
+    has_limits = baseline is not None and bool(limits_by_name(baseline))
     rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
     for count in LOOK_BACK_SETS:
         rows = catalogue.last_rows(SetRow, position, count, tried=True)
         if len(rows) != count:
             break
         since = [row for row in rows if row.set_index >= reinstated_at]
-        good = any(row.n_valid >= settings.baseline.minimum_valid_shots for row in since)
-        silence_ends = good and sum(row.n_taken > 0 for row in since) >= settings.alarms.hole_sets
-        if len(since) < len(rows) or silence_ends:
+        has_valid = any(row.n_valid >= settings.baseline.minimum_valid_shots for row in since)
+        ends_silence = has_valid and sum(row.n_taken > 0 for row in since) >= settings.alarms.hole_sets
+        if len(since) < len(rows) or ends_silence:
             assessments = catalogue.rows(AssessmentRow, position=position, first_set=rows[0].set_index)
-            if not judged or determines_state([row.outlier for row in assessments], rule):
+            if not has_limits or determines_state([row.outlier for row in assessments], rule):
                 break
     return rows
 
 
-def _fed(
+def _sets_of_shots(
     position: str,
     catalogue: Catalogue,
     sets: Sequence[SetRow],
     of_set: Mapping[int, FeatureRow],
     hole_sets: int,
 ) -> Iterator[SetOfShots]:
-    """Give sets as the step takes them; the last ones have flags, the hole rule looks no further back."""
+    """Yield sets as input of `step`; only the last ones have flags, because only the hole rule uses them."""
     from daq_service.assessment.solitary_wave_step import SetOfShots
 
     recent = [row.set_index for row in sets if row.n_taken][-hole_sets:]
@@ -153,7 +155,7 @@ def _fed(
 def restored_pulse_echo(
     position: str, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool
 ) -> PulseEchoAssessor:
-    """Give the assessor of a probe, fed with the readings that count; a rehearsal's echoes are real ones."""
+    """Restore the assessor of a probe from its stored readings; a rehearsal's echoes are real ones."""
     from daq_service.assessment.pulse_echo import PulseEchoAssessor
 
     del rehearsal
@@ -161,7 +163,7 @@ def restored_pulse_echo(
     first = catalogue.first_reading(position)
     if first is None:
         return assessor
-    _refer(assessor, first, catalogue, archive)
+    _restore_reference(assessor, first, catalogue, archive)
     rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
     for count in LOOK_BACK_SETS:
         rows = catalogue.last_rows(ThicknessRow, position, count)
@@ -175,7 +177,7 @@ def restored_pulse_echo(
 def thickness_interval_m(
     last: ThicknessRow, settings: Settings, catalogue: Catalogue, archive: SetReader
 ) -> tuple[float, float] | None:
-    """Compute the 95 % interval of a reading anew, from its record and the reference; None: it has none.
+    """Recompute the 95 % interval of a reading from its record and the reference, in m; None if it has none.
 
     Raises
     ------
@@ -190,16 +192,16 @@ def thickness_interval_m(
         return None
     assessor = PulseEchoAssessor(last.position, settings)
     try:
-        _refer(assessor, first, catalogue, archive)
+        _restore_reference(assessor, first, catalogue, archive)
         return assessor.interval_m(_echo_of(last, catalogue, archive))
-    except AnalysisError:  # judged by other settings than these: then it had one, and has none here
+    except AnalysisError:  # assessed with other settings, with which it had an interval
         return None
 
 
-def _refer(
+def _restore_reference(
     assessor: PulseEchoAssessor, first: ThicknessRow, catalogue: Catalogue, archive: SetReader
 ) -> None:
-    """Take the first reading's record as the reference; where it is lost, the next that can be read.
+    """Set the reference to the record of the first reading; if it is lost, to the next readable one.
 
     Raises
     ------
@@ -209,23 +211,23 @@ def _refer(
     from analysis.errors import EchoNotFoundError
 
     try:
-        return assessor.refer_to(_echo_of(first, catalogue, archive))
+        return assessor.set_reference(_echo_of(first, catalogue, archive))
     except (CorruptArchiveError, SetNotFoundError) as error:
         lost = error
     for reading in catalogue.rows(ThicknessRow, position=first.position, first_set=first.set_index + 1):
         if reading.quality != "good" or reading.thickness_m is None:
             continue
-        # What else is damaged is told by those who look for it.
+        # The verification reports other corrupt records.
         with suppress(CorruptArchiveError, SetNotFoundError, EchoNotFoundError):
-            assessor.refer_to_later(_echo_of(reading, catalogue, archive), reading=reading, first=first)
-            told = "set %d stands in for the reference of %s: %s"
-            log.warning(told, reading.set_index, first.position, lost)
+            assessor.set_later_reference(_echo_of(reading, catalogue, archive), reading=reading, first=first)
+            message = "set %d stands in for the reference of %s: %s"
+            log.warning(message, reading.set_index, first.position, lost)
             return None
     raise lost
 
 
 def _echo_of(reading: ThicknessRow, catalogue: Catalogue, archive: SetReader) -> Waveform:
-    """Read the record that gave a reading."""
+    """Read the waveform of a reading."""
     (its_set,) = catalogue.rows(SetRow, position=reading.position, set_index=reading.set_index)
     if its_set.file is None:
         raise SetNotFoundError(f"set {reading.set_index} has a reading of {reading.position!r} and no file")

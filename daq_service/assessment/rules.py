@@ -1,21 +1,21 @@
-"""What the configuration says of judging a transducer."""
+"""Rules of assessment from the configuration."""
 
 from __future__ import annotations
 
 from analysis.statistics.design import Budget
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.acquisition.schedule import due_hours
-from daq_service.assessment.baseline_lifecycle import Planned, name_of
+from daq_service.assessment.baseline_lifecycle import BaselineRange, baseline_name
 from daq_service.assessment.solitary_wave_step import Rules
 from daq_service.settings.tree import Settings
 
 HOURS_PER_DAY = 24.0
 
 
-def rules_of(settings: Settings, *, baseline: Planned, position: str, has_chart: bool = True) -> Rules:
-    """Collect what the configuration says of judging a transducer; see `Rules` for one without a chart."""
+def rules_of(settings: Settings, *, baseline: BaselineRange, position: str, has_chart: bool = True) -> Rules:
+    """Return the rules of a transducer's assessment from the configuration; see `Rules` about the chart."""
     return Rules(
-        baseline_name=name_of(position, baseline.number),
+        baseline_name=baseline_name(position, baseline.number),
         first_baseline_set=baseline.first_set,
         last_baseline_set=baseline.last_set,
         minimum_sets=settings.baseline.minimum_sets,
@@ -32,12 +32,15 @@ def rules_of(settings: Settings, *, baseline: Planned, position: str, has_chart:
 
 
 def run_length(settings: Settings) -> float:
-    """Count the sets from one false alarm of a healthy sensor to the next: the budget at the mean cadence.
+    """Compute the mean number of sets between two false alarms of a healthy sensor.
 
-    The plan behind the baseline counts, whole: a test that is cut short keeps its rate.
+    It is the design false-alarm rate at the mean interval of the complete schedule after the baseline. A test
+    that ends early keeps its rate.
     """
-    begin_h, phases = settings.baseline.hours, settings.schedule.phases
-    later = [hour for hour in due_hours(phases) if hour > begin_h]
-    interval_h = (later[-1] - begin_h) / len(later) if later else phases[-1].interval_h
-    budget = settings.false_alarms_per_sensor_year()
-    return Budget(alarms_per_year=budget, sets_per_day=HOURS_PER_DAY / interval_h).run_length
+    baseline_end_h, phases = settings.baseline.hours, settings.schedule.phases
+    hours_after = [hour for hour in due_hours(phases) if hour > baseline_end_h]
+    interval_h = (
+        (hours_after[-1] - baseline_end_h) / len(hours_after) if hours_after else phases[-1].interval_h
+    )
+    alarms_per_year = settings.false_alarms_per_sensor_year()
+    return Budget(alarms_per_year=alarms_per_year, sets_per_day=HOURS_PER_DAY / interval_h).run_length

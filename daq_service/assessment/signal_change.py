@@ -1,7 +1,7 @@
-"""What a transducer's verdicts say of `wall_change` and `transducer_change`: in which words, with what proof.
+"""Conditions of the alarms `wall_change` and `transducer_change`: messages and evidence.
 
-The chart decides, and beside it a cause that was named the wall; or k of n sets beyond a limit, as the
-configuration says. Where a baseline has no chart, k of n decides in any case.
+The control chart or the diagnosis WALL raises them; or k of n sets above a limit, as configured. Where a
+baseline has no chart, k of n always decides.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from analysis.statistics.design import Design, contributions_of
 from analysis.statistics.named_limits import CHART
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.alarms.states import Condition
-from daq_service.assessment.diagnosis import said
-from daq_service.assessment.solitary_wave_step import Rules, State, alarms
+from daq_service.assessment.diagnosis import diagnosis_text
+from daq_service.assessment.solitary_wave_step import Rules, State, wall_alarm_active
 from daq_service.assessment.stored_limits import limits_by_name, statistic_of
 from daq_service.catalogue.rows import AssessmentRow
 
@@ -27,33 +27,33 @@ CHART_FORMULA = (
     "whitened, cut back to the F limit of 1 %"
 )
 CAUSE = "cause"
-"""What raised an alarm that the chart did not."""
+"""Value of ``raised_by`` if the diagnosis raised the alarm."""
 REMEDY = "wall or transducer has changed; inspect"
 
 
 def wall_conditions(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> list[Condition]:
-    """Say it after a set; ``verdict`` is that set's row.
+    """Return the conditions of both alarms after a set; ``assessment`` is the row of that set.
 
-    A change that surely comes from elsewhere is an alarm of the transducer; one whose cause cannot be told is
-    one of the wall (`cause.next_origin`).
+    A change with a diagnosis other than the wall raises the transducer alarm; an undetermined one raises the
+    wall alarm (`diagnosis.next_origin`).
     """
     design = None if state.baseline is None else state.baseline.design
     if rules.decides_by == "chart" and design is not None and state.memory is not None:
         present, times_limit, message, proof = _by_chart(position, design, state, rules, assessment)
     else:
         present, times_limit, message, proof = _by_k_of_n(position, state, rules, assessment)
-    message += said(assessment.cause, assessment.cause_probability, assessment.cause_told) or REMEDY
-    elsewhere = state.origin.elsewhere
+    message += diagnosis_text(assessment.cause, assessment.cause_probability, assessment.cause_told) or REMEDY
+    not_wall = state.origin.not_wall
     wall = Condition(
         position=position,
         kind="wall_change",
         family="damage",
         severity="high",
-        present=present and not elsewhere,
+        present=present and not not_wall,
         times_limit=times_limit,
         known=WALL if assessment.cause == WALL else "",
         message=message if present else "",
-        proof=proof | _of_every_rule(assessment),
+        proof=proof | _common_evidence(assessment),
     )
     transducer = replace(
         wall,
@@ -61,12 +61,12 @@ def wall_conditions(position: str, state: State, rules: Rules, assessment: Asses
         known="",
         family="device",
         severity="medium",
-        present=present and elsewhere,
+        present=present and not_wall,
     )
     return [wall, transducer]
 
 
-def _of_every_rule(assessment: AssessmentRow) -> dict[str, Any]:
+def _common_evidence(assessment: AssessmentRow) -> dict[str, Any]:
     return {
         "set_index": assessment.set_index,
         "distance_squared": assessment.distance_squared,
@@ -78,25 +78,28 @@ def _of_every_rule(assessment: AssessmentRow) -> dict[str, Any]:
     }
 
 
-def promise(design: Design, budget: float) -> str:
-    """Say what the chart promises of a healthy sensor."""
-    told = f"{budget:g} false alarms a year"
-    return f"{told}, not promised: {design.why_not_guaranteed}" if design.why_not_guaranteed else told
+def describe_rate(design: Design, budget: float) -> str:
+    """Describe the design false-alarm rate of the chart for a healthy sensor."""
+    rate = f"{budget:g} false alarms a year"
+    return f"{rate}, not promised: {design.why_not_guaranteed}" if design.why_not_guaranteed else rate
 
 
-Said = tuple[bool, float | None, str, dict[str, Any]]
+AlarmBasis = tuple[bool, float | None, str, dict[str, Any]]
+"""Presence of the condition, multiple of the limit, first part of the message, and evidence."""
 
 
-def _by_chart(position: str, design: Design, state: State, rules: Rules, assessment: AssessmentRow) -> Said:
+def _by_chart(
+    position: str, design: Design, state: State, rules: Rules, assessment: AssessmentRow
+) -> AlarmBasis:
     memory = state.memory
-    assert memory is not None, "the caller has looked"
+    assert memory is not None, "checked by the caller"
     limit, average = design.limits[CHART], np.array(memory.averages[CHART])
     parts = contributions_of(average)
     statistic = float(parts.sum())
     budget = rules.false_alarms_per_sensor_year
-    told = (
+    message = (
         f"the chart of {position} stands at {statistic:.1f}, beyond its limit of {limit:.1f} "
-        f"({promise(design, budget)}): "
+        f"({describe_rate(design, budget)}): "
         if memory.alarming
         else f"the cause of a change at {position} is named, while the chart stands at {statistic:.1f}, "
         f"below its limit of {limit:.1f}: "
@@ -112,16 +115,16 @@ def _by_chart(position: str, design: Design, state: State, rules: Rules, assessm
         "rate_guaranteed": not design.why_not_guaranteed,
         "why_not_guaranteed": design.why_not_guaranteed or None,
     }
-    return alarms(state, rules), statistic / limit, told, proof
+    return wall_alarm_active(state, rules), statistic / limit, message, proof
 
 
-def _by_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> Said:
+def _by_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
     alarm, rule = state.alarm, rules.alarm
     limit, value = (
         limits_by_name(assessment).get(assessment.limit_name),
         statistic_of(assessment, assessment.limit_name),
     )
-    told = (
+    message = (
         f"{sum(alarm.recent)} of the last {len(alarm.recent)} judged sets at {position} lie beyond the limit "
         f"of {limit or 0.0:.1f} (rule: {rule.k} of {rule.n}): "
     )
@@ -133,4 +136,4 @@ def _by_k_of_n(position: str, state: State, rules: Rules, assessment: Assessment
         "contributions": assessment.contributions,
     }
     times_limit = None if value is None or limit is None else value / limit
-    return alarm.active, times_limit, told, proof
+    return alarm.active, times_limit, message, proof

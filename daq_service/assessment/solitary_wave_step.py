@@ -1,7 +1,7 @@
-"""One set after another at a solitary-wave transducer: a pure step from state and set to state and verdict.
+"""Assessment of one set after another at a transducer: pure functions of the state and a set.
 
-The recorder feeds each set as it is taken; a restart feeds those of the catalogue again and stands where
-the last recorder stood. Rows and wording are `solitary_wave`'s.
+The recorder feeds each set after it is recorded; a restart feeds those of the catalogue again and reaches
+the same state. Rows and messages are in `solitary_wave`.
 """
 
 from __future__ import annotations
@@ -32,24 +32,24 @@ from analysis.statistics.rules import (
     next_poor_sets,
 )
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.assessment.diagnosis import Origin, cause_after, design_of_causes, next_origin
+from daq_service.assessment.diagnosis import Origin, diagnose_scheduled, fit_diagnosis_parameters, next_origin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rules:
-    """What a transducer is judged by.
+    """Rules of a transducer's assessment.
 
     Attributes
     ----------
     first_baseline_set, last_baseline_set
         Indices of the first and last set that belong to the baseline; one before them belongs to a baseline
-        that was retired meanwhile.
+        that has been retired since.
     minimum_sets, minimum_valid_shots
-        Fewer valid sets make no baseline, fewer valid shots a poor set.
+        Minimum number of valid sets of a baseline, and of valid shots of a set.
     limit
-        Name of the limit beyond which a set is an outlier.
+        Name of the limit above which a set is an outlier.
     decides_by
-        What raises the alarm of the wall: ``chart``, or ``k_of_n`` of such sets (``alarm``).
+        Rule of the wall alarm: ``chart``, or ``k_of_n`` outliers (``alarm``).
     run_length
         Sets from one false alarm of the chart to the next, on average. None: there is no chart, since the
         baseline was frozen by a version that had none.
@@ -72,7 +72,7 @@ class Rules:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetOfShots:
-    """What a set gave.
+    """Result of the shots of one set.
 
     Attributes
     ----------
@@ -97,7 +97,7 @@ class SetOfShots:
     flags: Sequence[Sequence[str]]
 
     def vector(self) -> tuple[float, ...] | None:
-        """Return the five features of the Mahalanobis vector; None where the set is not to be judged."""
+        """Return the five features of the Mahalanobis vector; None if the set cannot be assessed."""
         values = [self.values.get(name) for name in FEATURE_NAMES]
         known = tuple(value for value in values if value is not None and math.isfinite(value))
         return known if self.quality != "bad" and len(known) == len(values) else None
@@ -105,7 +105,7 @@ class SetOfShots:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssessedSet:
-    """A planned set behind the baseline: its five features, and whether it lies beyond the limit."""
+    """A scheduled set after the baseline: its five features, and whether it exceeds the limit."""
 
     vector: tuple[float, ...]
     outlier: bool
@@ -113,18 +113,18 @@ class AssessedSet:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class FrozenBaseline:
-    """The closed baseline with its limits.
+    """A frozen baseline with its limits.
 
     Attributes
     ----------
     fitted
-        None: the sets gave none, and ``reason`` says why.
+        None if the sets give no baseline, for the stated ``reason``.
     limits
         By name.
     design
-        Everything else to judge by; None: the baseline was frozen by a version that had no chart.
+        Chart parameters; None if the baseline was frozen by a version without control charts.
     causes
-        What tells a sick wall from a sick sensor; None: there is no design, or features that never change.
+        Parameters of the diagnosis; None if there is no design, or a feature is constant.
     """
 
     fitted: Baseline | None
@@ -133,31 +133,31 @@ class FrozenBaseline:
     design: Design | None = None
     causes: DiagnosisParameters | None = None
 
-    def judging(self, name: str) -> str:
-        """Return the limit beyond which a set is an outlier: the wanted one, where that version had it."""
+    def effective_limit(self, name: str) -> str:
+        """Return the name of the outlier limit: as configured if the baseline has it, else the F limit."""
         return name if name in self.limits or not self.limits else F_PREDICTIVE
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class State:
-    """What later sets are judged by.
+    """State of a transducer's assessment after a set.
 
     Attributes
     ----------
     healthy, n_left_out
-        Sets of the baseline, and how many of its sets were unfit for it.
+        Sets of the baseline, and number of its sets that were left out.
     baseline
-        None while it is being recorded.
+        None while it is collected.
     memory
-        What the charts remember; None: they have not begun, or there are none.
+        Memory of the control charts; None before their start, or without charts.
     diagnosis_state
-        What the causes are told by.
+        State of the diagnosis.
     origin
-        Where the change comes from that has an alarm, or would have.
+        Class of the change on which an alarm is based.
     poor_sets
-        Sets running with too few valid shots.
-    judged
-        The last judged sets, as many as ``alarm`` remembers: a confirmation set is compared with them.
+        Number of consecutive sets with too few valid shots.
+    assessed
+        The last assessed sets, as many as the alarm rule uses: a confirmation set is compared with them.
     """
 
     healthy: tuple[SetOfShots, ...] = ()
@@ -169,25 +169,25 @@ class State:
     origin: Origin = field(default_factory=Origin)
     hole: HoleState = field(default_factory=HoleState)
     poor_sets: int = 0
-    judged: tuple[AssessedSet, ...] = ()
+    assessed: tuple[AssessedSet, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SetAssessment:
-    """What a set says.
+    """Assessment of one set.
 
     Attributes
     ----------
     outlier, outlier_paper
-        Beyond the deciding limit, and beyond the paper's; None: not judged, ``reason`` says why.
+        Above the configured limit, and above the paper's; None: not assessed, for the stated ``reason``.
     contributions
-        Part of the squared distance of each feature, by its name.
+        Contribution of each feature to the squared distance, by name.
     statistics
-        Everything that limits bound, by name; empty: not judged.
+        Every statistic that has a limit, by name; empty: not assessed.
     memory
-        What the charts remember after it; None: it was not judged by them.
+        Memory of the control charts after this set; None: not assessed by them.
     cause, diagnosis_state, origin
-        What the change comes from, what is remembered for it, and whose alarm it is; None: none was sought.
+        Diagnosis, its state, and the class of the alarm; None: not diagnosed.
     """
 
     in_baseline: bool = False
@@ -203,62 +203,62 @@ class SetAssessment:
     origin: Origin | None = None
 
 
-def alarms(state: State, rules: Rules) -> bool:
-    """Return whether the wall alarm is present: by the chart or a wall that is named, or by k of n."""
+def wall_alarm_active(state: State, rules: Rules) -> bool:
+    """Return whether the wall alarm is active: by the chart or the diagnosis WALL, or by k of n."""
     if rules.decides_by == "chart" and state.memory is not None:
         return state.memory.alarming or state.diagnosis_state.wall
     return state.alarm.active
 
 
 def step(
-    state: State, found: SetOfShots, rules: Rules, stored: SetAssessment | None = None
+    state: State, set_of_shots: SetOfShots, rules: Rules, stored: SetAssessment | None = None
 ) -> tuple[State, SetAssessment | None]:
-    """Judge one set; no verdict where not one record was taken.
+    """Update the state with one set and assess it; the assessment is None if the set has no record.
 
     Parameters
     ----------
     stored
-        Its verdict, where it was judged before: a restart reads only the last sets, and what came before them
-        is in what they remember.
+        Its stored assessment, if it has one: a restart reads only the last sets, and these contain the state
+        of the sets before them.
     """
-    if found.set_index < rules.first_baseline_set:
+    if set_of_shots.set_index < rules.first_baseline_set:
         return state, SetAssessment(
             reason="its baseline was retired before it was judged"
-        ) if found.n_taken else None
+        ) if set_of_shots.n_taken else None
     poor_sets = next_poor_sets(
         state.poor_sets,
-        n_valid=found.n_valid,
-        n_tried=found.n_tried,
+        n_valid=set_of_shots.n_valid,
+        n_tried=set_of_shots.n_tried,
         n_planned=rules.shots_per_set,
         minimum_valid=rules.minimum_valid_shots,
     )
     state = replace(state, poor_sets=poor_sets)
-    if not found.n_taken:
+    if not set_of_shots.n_taken:
         return state, None
-    state = replace(state, hole=next_hole_state(state.hole, found.flags, rules.hole))
-    in_baseline = found.set_index <= rules.last_baseline_set
+    state = replace(state, hole=next_hole_state(state.hole, set_of_shots.flags, rules.hole))
+    in_baseline = set_of_shots.set_index <= rules.last_baseline_set
     if in_baseline:
-        state = _remembering(state, found)
-    # Where the baseline's last set was missed, it closes at the first one after it.
-    closes = state.baseline is None and found.set_index >= rules.last_baseline_set
-    if closes:
-        state = _frozen(state, rules)
+        state = _add_to_baseline(state, set_of_shots)
+    # If the baseline's last set was missed, the first set after it freezes the baseline.
+    freezes = state.baseline is None and set_of_shots.set_index >= rules.last_baseline_set
+    if freezes:
+        state = _freeze_baseline(state, rules)
     if in_baseline:
         return state, SetAssessment(
             in_baseline=True,
             reason="left out of the baseline: too few valid shots"
-            if closes
+            if freezes
             else "the baseline is being recorded",
         )
-    assert state.baseline is not None, "it closes at the first set after it"
-    assessment = stored or _judged(found, state, state.baseline, rules)
+    assert state.baseline is not None, "the first set after it freezes it"
+    assessment = stored or _assess(set_of_shots, state, state.baseline, rules)
     alarm = next_alarm_state(state.alarm, assessment.outlier, rules.alarm)
     if stored is None:
-        assessment = _with_cause(assessment, found, state, rules, suspicious=alarm.active)
-    vector = found.vector()
+        assessment = _with_diagnosis(assessment, set_of_shots, state, rules, suspicious=alarm.active)
+    vector = set_of_shots.vector()
     if assessment.outlier is not None and vector is not None:
         last = AssessedSet(vector=vector, outlier=assessment.outlier)
-        state = replace(state, judged=(*state.judged, last)[-rules.alarm.n :])
+        state = replace(state, assessed=(*state.assessed, last)[-rules.alarm.n :])
     return replace(
         state,
         alarm=alarm,
@@ -268,42 +268,45 @@ def step(
     ), assessment
 
 
-def _with_cause(
-    assessment: SetAssessment, found: SetOfShots, state: State, rules: Rules, *, suspicious: bool
+def _with_diagnosis(
+    assessment: SetAssessment, set_of_shots: SetOfShots, state: State, rules: Rules, *, suspicious: bool
 ) -> SetAssessment:
-    design = None if state.baseline is None else state.baseline.causes
-    if design is None or assessment.memory is None:
+    parameters = None if state.baseline is None else state.baseline.causes
+    if parameters is None or assessment.memory is None:
         return assessment
     suspicious = suspicious or assessment.memory.alarming
-    diagnosis_state, cause = cause_after(
-        state.diagnosis_state, design, found.set_index, found.values, suspicious=suspicious
+    diagnosis_state, cause = diagnose_scheduled(
+        state.diagnosis_state, parameters, set_of_shots.set_index, set_of_shots.values, suspicious=suspicious
     )
     if cause is None:
         return replace(assessment, diagnosis_state=diagnosis_state)
-    origin = next_origin(state.origin, cause.cause, stood=alarms(state, rules), n=rules.alarm.n)
+    origin = next_origin(
+        state.origin, cause.cause, was_active=wall_alarm_active(state, rules), n=rules.alarm.n
+    )
     return replace(assessment, cause=cause, diagnosis_state=diagnosis_state, origin=origin)
 
 
 def reinstated(state: State) -> State:
-    """Forget what retired the transducer: a person says that it may strike again."""
+    """Clear the faults that retired the transducer, because a person has reinstated it."""
     return replace(state, hole=HoleState(), poor_sets=0)
 
 
-def _remembering(state: State, found: SetOfShots) -> State:
-    if found.vector() is None:
+def _add_to_baseline(state: State, set_of_shots: SetOfShots) -> State:
+    if set_of_shots.vector() is None:
         return replace(state, n_left_out=state.n_left_out + 1)
-    return replace(state, healthy=(*state.healthy, found))
+    return replace(state, healthy=(*state.healthy, set_of_shots))
 
 
-def _frozen(state: State, rules: Rules) -> State:
-    """Fit the baseline to the remembered sets, and begin the charts; the same sets give the same bits."""
-    vectors = np.array([found.vector() for found in state.healthy], dtype=np.float64)
+def _freeze_baseline(state: State, rules: Rules) -> State:
+    """Fit the baseline to its sets and start the charts; the same sets give bit-identical results."""
+    vectors = np.array([healthy_set.vector() for healthy_set in state.healthy], dtype=np.float64)
     try:
-        if len(state.healthy) < _least(rules):
+        if len(state.healthy) < _minimum_sets(rules):
             raise NotEnoughSetsError(
-                f"a baseline of {len(state.healthy)} sets; it needs {_least(rules)} (baseline.minimum_sets)"
+                f"a baseline of {len(state.healthy)} sets; it needs {_minimum_sets(rules)} "
+                "(baseline.minimum_sets)"
             )
-        indices = [found.set_index for found in state.healthy]
+        indices = [healthy_set.set_index for healthy_set in state.healthy]
         fitted = fit_baseline(vectors, indices, name=rules.baseline_name)
     except (NotEnoughSetsError, SingularCovarianceError) as error:
         return replace(state, baseline=FrozenBaseline(fitted=None, reason=f"{error}; {_remedy(rules)}"))
@@ -322,7 +325,9 @@ def _frozen(state: State, rules: Rules) -> State:
             fitted=fitted,
             limits=design.limits,
             design=design,
-            causes=design_of_causes([(found.set_index, found.values) for found in state.healthy]),
+            causes=fit_diagnosis_parameters(
+                [(healthy_set.set_index, healthy_set.values) for healthy_set in state.healthy]
+            ),
         ),
         memory=state_at_end_of(fitted, vectors[-1]),
         diagnosis_state=DiagnosisState(),
@@ -330,43 +335,43 @@ def _frozen(state: State, rules: Rules) -> State:
     )
 
 
-def _least(rules: Rules) -> int:
+def _minimum_sets(rules: Rules) -> int:
     return max(rules.minimum_sets, MINIMUM_SETS)
 
 
 def _remedy(rules: Rules) -> str:
     n_planned = 1 + rules.last_baseline_set - rules.first_baseline_set
-    if n_planned < _least(rules):
+    if n_planned < _minimum_sets(rules):
         return f"only {n_planned} are planned: begin a new test with more baseline.hours"
     return "`solimon renew-baseline` begins another one"
 
 
-def _judged(found: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
+def _assess(set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
     if baseline.fitted is None:
         return SetAssessment(reason=baseline.reason)
-    values = found.vector()
+    values = set_of_shots.vector()
     if values is None:
-        return SetAssessment(reason=found.reason or "a feature is not available")
+        return SetAssessment(reason=set_of_shots.reason or "a feature is not available")
     vector = np.array(values)
     memory, statistics = None, {DISTANCE: float(distance_squared(vector, baseline.fitted))}
     if baseline.design is not None and state.memory is not None:
-        memory, statistics = next_chart_state(state.memory, baseline.design, found.set_index, vector)
+        memory, statistics = next_chart_state(state.memory, baseline.design, set_of_shots.set_index, vector)
     return SetAssessment(
         distance_squared=statistics[DISTANCE],
-        outlier=beyond(baseline.judging(rules.limit), statistics, baseline.limits),
-        outlier_paper=beyond(PAPER_MEAN_3SD, statistics, baseline.limits),
+        outlier=exceeds_limit(baseline.effective_limit(rules.limit), statistics, baseline.limits),
+        outlier_paper=exceeds_limit(PAPER_MEAN_3SD, statistics, baseline.limits),
         contributions=named_contributions(vector, baseline.fitted),
         statistics=statistics,
         memory=memory,
     )
 
 
-def alone(found: SetOfShots, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
-    """Judge a set by its own distance; no chart takes it in."""
-    return _judged(found, State(baseline=baseline), baseline, rules)
+def assess_alone(set_of_shots: SetOfShots, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
+    """Assess a set by its own distance, without updating a chart."""
+    return _assess(set_of_shots, State(baseline=baseline), baseline, rules)
 
 
-def beyond(name: str, statistics: Mapping[str, float], limits: Mapping[str, float]) -> bool | None:
-    """Tell whether a set lies beyond a limit; None: there is no such limit, or nothing to compare with it."""
+def exceeds_limit(name: str, statistics: Mapping[str, float], limits: Mapping[str, float]) -> bool | None:
+    """Return whether a statistic exceeds its limit; None if the limit or the statistic is missing."""
     value, limit = statistics.get(LIMITS[name].of), limits.get(name)
     return None if value is None or limit is None else value > limit

@@ -10,7 +10,7 @@ from daq_service.settings.tree import Settings
 
 
 def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
-    """Return the limits of a row; one of an earlier version has two, in columns."""
+    """Return the limits of a row by name; rows of earlier versions have two, in columns."""
     if row.limits is not None:
         return dict(row.limits)
     from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
@@ -20,7 +20,7 @@ def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
 
 
 def statistic_of(row: AssessmentRow, limit_name: str) -> float | None:
-    """Return what a limit bounds; None: the set was not judged by it."""
+    """Return the statistic that a limit applies to; None if the set was not assessed by it."""
     from analysis.statistics.named_limits import CHART, DISTANCE, LIMITS
 
     name = LIMITS[limit_name].of
@@ -29,7 +29,7 @@ def statistic_of(row: AssessmentRow, limit_name: str) -> float | None:
 
 
 def deciding_chart(row: AssessmentRow | None, settings: Settings) -> tuple[float, float] | None:
-    """Return statistic and limit of the chart where it decides; None: it does not, or not yet."""
+    """Return statistic and limit of the chart if it raises the wall alarm; None if it does not."""
     if row is None or row.chart is None or settings.alarms.decides_by != "chart":
         return None
     from analysis.statistics.named_limits import CHART

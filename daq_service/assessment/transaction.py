@@ -1,4 +1,4 @@
-"""Catalogue rows of what was taken and what happened, and the events that tell of them."""
+"""Catalogue rows of a set or a change, with their events."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from hardware_drivers.measurement import PulseEchoRecord, Shot
 def shot_row(
     measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str], outcome: Outcome = ACCEPTED
 ) -> ShotRow:
-    """Row of a stored record."""
+    """Return the catalogue row of a stored record."""
     return ShotRow(
         sequence=measurement.sequence,
         set_index=measurement.key.set_index,
@@ -47,7 +47,7 @@ def shot_row(
 
 
 class Transaction(SetCommit):
-    """Rows that belong together, filled with the events that tell of them."""
+    """Rows that are stored together, with their events."""
 
     def add_position(
         self,
@@ -57,7 +57,7 @@ class Transaction(SetCommit):
         moment: Moment,
         outcomes: Mapping[int, str] = MappingProxyType({}),
     ) -> None:
-        """Add what a set says of one position; ``outcomes`` name the records that are not accepted."""
+        """Add the result of a set at one position; ``outcomes`` name the records that are not accepted."""
         self.sets.append(its_set)
         for measurement in measurements:
             flags = position_result.shot_flags[measurement.sequence]
@@ -67,14 +67,16 @@ class Transaction(SetCommit):
         self.features += position_result.features
         self.thickness += position_result.thickness
         self.assessments += position_result.assessments
-        tell = partial(self._tell, moment=moment, position=its_set.position, set_index=its_set.set_index)
-        # Whether its file is made already is chance: events say the same in every run.
-        tell("sets", f"set_{its_set.state}", payload_of(replace(its_set, file_sha256=None)))
+        add_event = partial(
+            self._add_event, moment=moment, position=its_set.position, set_index=its_set.set_index
+        )
+        # Whether its file exists already depends on timing; events must be the same in every run.
+        add_event("sets", f"set_{its_set.state}", payload_of(replace(its_set, file_sha256=None)))
         for feature in position_result.features:
             if feature.shot_index is None:
-                tell("features", "set_features", payload_of(feature))
+                add_event("features", "set_features", payload_of(feature))
         for thickness in position_result.thickness:
-            tell("thickness", "thickness_read", payload_of(thickness))
+            add_event("thickness", "thickness_read", payload_of(thickness))
         if position_result.baseline is not None:
             approved_ns = moment.utc_ns if position_result.baseline.state == "approved" else None
             baseline = replace(
@@ -82,16 +84,16 @@ class Transaction(SetCommit):
             )
             self.baselines.append(baseline)
             payload = payload_of(baseline, last="created_utc_ns")
-            tell("verdicts", "baseline_frozen", payload)
+            add_event("verdicts", "baseline_frozen", payload)
         for assessment in position_result.assessments[-1:]:
-            tell("verdicts", "set_judged", payload_of(assessment))
+            add_event("verdicts", "set_judged", payload_of(assessment))
 
     def add_environment(self, row: EnvironmentRow, moment: Moment) -> None:
-        """Add what supply and climate probe said around a set."""
+        """Add the readings of supply and climate probe around a set."""
         self.environment.append(row)
-        self._tell("environment", "environment_read", payload_of(row), moment, set_index=row.set_index)
+        self._add_event("environment", "environment_read", payload_of(row), moment, set_index=row.set_index)
 
-    def tell(
+    def add_event(
         self,
         kind: str,
         payload: Mapping[str, Any],
@@ -100,35 +102,35 @@ class Transaction(SetCommit):
         position: str | None = None,
         topic: str = "service",
     ) -> None:
-        """Add an event of the service itself, or of its machine."""
-        self._tell(topic, kind, payload, moment, position=position, set_index=moment.set_index)
+        """Add an event of the service itself, or of its computer."""
+        self._add_event(topic, kind, payload, moment, position=position, set_index=moment.set_index)
 
     def add_alarm(self, change: Change, moment: Moment) -> None:
-        """Add an alarm's change; its event carries the id that the catalogue gives."""
+        """Add a change of an alarm; its event contains the id that the catalogue assigns."""
         self.alarm_of_event[len(self.events)] = len(self.alarms)
         self.alarms.append(change.row)
-        deed = {} if change.author is None else {"author": change.author}
-        self._tell(
+        author_of_change = {} if change.author is None else {"author": change.author}
+        self._add_event(
             "alarms",
             change.event_kind,
-            deed | payload_of(change.row, last="id"),
+            author_of_change | payload_of(change.row, last="id"),
             moment,
             position=change.row.position,
             set_index=moment.set_index,
         )
 
     def annotate(self, row: AnnotationRow, kind: str, moment: Moment) -> None:
-        """Add an annotation, or what becomes of one, with its event."""
+        """Add a new or changed annotation with its event."""
         self.annotation_of_event[len(self.events)] = len(self.annotations)
         self.annotations.append(row)
-        self._tell("annotations", kind, payload_of(row, last="id"), moment, position=row.position)
+        self._add_event("annotations", kind, payload_of(row, last="id"), moment, position=row.position)
 
     def change_baseline(self, row: BaselineRow, kind: str, moment: Moment) -> None:
-        """Add what a person made of a baseline; the event tells the whole row."""
+        """Add a baseline that a person changed; the event contains the complete row."""
         self.baselines.append(row)
-        self._tell("verdicts", kind, payload_of(row), moment, position=row.position)
+        self._add_event("verdicts", kind, payload_of(row), moment, position=row.position)
 
-    def _tell(
+    def _add_event(
         self,
         topic: str,
         kind: str,

@@ -1,4 +1,4 @@
-"""Sets leave the journal for files of their own, made in a process beside the line; trouble there waits."""
+"""Write complete sets from the journal to files, in a worker process; failed ones are retried."""
 
 from __future__ import annotations
 
@@ -31,22 +31,22 @@ AGAIN_AFTER_S = 10.0
 
 
 class SetFinalizer:
-    """Hands whole sets to a worker and lets the journal forget what came back in order.
+    """Finalizer of sets: a worker writes the file of each complete set, then the journal drops it.
 
     Parameters
     ----------
     results
-        Tells what was computed of a set, for its file.
+        Returns the results of a set, for its file.
     filed
-        Told a set, its file and the SHA-256 of that before the journal forgets the set.
+        Called with a set, its file and the SHA-256 of the file before the journal drops the set.
     also
-        Gives what the worker shall do with a set, of which this was computed, while it has its records at
-        hand; that says what kept it from it, once in the log.
+        Returns a further task of the worker for a set and its results, or None; the task returns an error
+        message, which is logged once.
 
     Attributes
     ----------
     damaged
-        Sets that get no file, because they are damaged in the journal.
+        Sets without a file, because they are corrupt in the journal.
     """
 
     def __init__(
@@ -66,11 +66,11 @@ class SetFinalizer:
         self._executor: Executor | None = None
         self._running: dict[int, Future[tuple[SetReference, str, str]]] = {}
         self._again_s: dict[int, float] = {}
-        self._refusal = self._told = ""
+        self._refusal = self._last_message = ""
         self.damaged: dict[str, str] = {}
 
     def put(self, set_index: int) -> None:
-        """Have a file made of a whole set of the journal."""
+        """Submit a complete set of the journal to the worker, which writes its file."""
         if self._executor is None:
             self._executor = self._start()
         try:
@@ -89,8 +89,8 @@ class SetFinalizer:
         except StorageError as error:
             self._put_off(set_index, error)
 
-    def beside(self, work: Callable[..., T], *arguments: Any) -> Future[T] | None:
-        """Let the worker do something else; None: it has sets to make files of, or has just died."""
+    def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T] | None:
+        """Submit other work to the worker; None if it has sets to write, or has just died."""
         if self.waits:
             return None
         if self._executor is None:
@@ -102,7 +102,7 @@ class SetFinalizer:
             return None
 
     def work(self) -> None:
-        """Look what is done; called while the line is idle."""
+        """Process finished files and retry failed ones; called while no set is due."""
         for set_index in [index for index, future in self._running.items() if future.done()]:
             self._take_back(set_index, self._running.pop(set_index))
         now_s = self._mono_s()
@@ -112,11 +112,11 @@ class SetFinalizer:
 
     def _take_back(self, set_index: int, future: Future[tuple[SetReference, str, str]]) -> None:
         try:
-            file, sha256, told = future.result()
+            file, sha256, message = future.result()
             self._filed(set_index, file, sha256)
-            if told and told != self._told:
-                log.warning("%s", told)
-            self._told = told
+            if message and message != self._last_message:
+                log.warning("%s", message)
+            self._last_message = message
         except SetNotFoundError:
             log.debug("set %d is not in the journal: it has its file already", set_index)
         except CorruptArchiveError as error:
@@ -139,26 +139,26 @@ class SetFinalizer:
 
     @property
     def trouble(self) -> str:
-        """Why a set has no file although one was tried; empty: there is no such set."""
+        """Return why the file of a set could not be written; empty if there is no such set."""
         return self._refusal
 
     @property
     def n_under_way(self) -> int:
-        """Sets that the worker was given and has not finished."""
+        """Return the number of sets that the worker has not finished."""
         return len(self._running)
 
     @property
     def waits(self) -> bool:
-        """A set has no file yet."""
+        """Return whether a set has no file yet."""
         return bool(self._running or self._again_s)
 
     def try_again(self) -> None:
-        """Try now what failed before, if nothing is under way."""
+        """Retry failed sets now, unless the worker is busy."""
         if not self._running:
             self._again_s = dict.fromkeys(self._again_s, -math.inf)
         self.work()
 
     def close(self) -> None:
-        """Let the worker go; what has no file yet is left to the next start."""
+        """Stop the worker; sets without a file remain for the next start."""
         if self._executor is not None:
             self._executor.shutdown(wait=not self._running, cancel_futures=True)

@@ -1,4 +1,4 @@
-"""The live picture: one small file a position with its latest record.
+"""Live figures: one small file per position with its latest waveform.
 
 It is a picture, never a source of truth: written without fsync, at most ten times a second, and
 replaced by rename, so a reader always sees a whole one. Layout: u32 little-endian length of the
@@ -32,7 +32,7 @@ MARKS = ("isw_time_s", "isw_amplitude_v", "psw_time_s", "psw_amplitude_v", "ssw_
 
 
 def encode(header: Mapping[str, Any], waveform: Waveform) -> bytes:
-    """Header and samples as the bytes of a live file and of a live message."""
+    """Encode header and samples as the bytes of a live file and of a live message."""
     text = json.dumps(dict(header), separators=(",", ":"), allow_nan=False).encode()
     text += b" " * (-(4 + len(text)) % 8)
     samples = waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False)
@@ -40,7 +40,7 @@ def encode(header: Mapping[str, Any], waveform: Waveform) -> bytes:
 
 
 class LiveFigure:
-    """Writes the live files of one data folder."""
+    """Writer of the live files of one data folder."""
 
     def __init__(
         self, folder: Path, rig_kind: str, *, mono_ns: Callable[[], int] = time.monotonic_ns
@@ -55,7 +55,7 @@ class LiveFigure:
         self._refused: int | None = None
 
     def due(self, position: str) -> bool:
-        """Say whether the last picture of the position is old enough for another."""
+        """Return whether the live figure of a position is due for an update."""
         last = self._written_ns.get(position)
         pause_ns = COSTS_BETWEEN * len(self._written_ns) * self._cost_ns
         pause_ns = min(max(pause_ns, SHORTEST_INTERVAL_NS), LONGEST_INTERVAL_NS)
@@ -64,9 +64,9 @@ class LiveFigure:
     def show(
         self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None
     ) -> None:
-        """Replace the picture of a position. A failing disk costs the picture, not the shot."""
+        """Replace the live figure of a position; a disk error loses the figure, not the shot."""
         waveform, key = measurement.waveform, measurement.key
-        begun_ns = self._mono_ns()
+        started_ns = self._mono_ns()
         values = {} if features is None else features.values()
         header = {
             "position": key.position,
@@ -92,7 +92,7 @@ class LiveFigure:
             log.warning("no live picture of %s: %s", key.position, error)
         self._refused = refused
         self._written_ns[key.position] = now_ns = self._mono_ns()
-        self._cost_ns = now_ns - begun_ns
+        self._cost_ns = now_ns - started_ns
 
 
 def _finite(value: float | None) -> float | None:

@@ -1,7 +1,7 @@
-"""Tiles of the waterfall grow with the test, in the worker's process; trouble costs the tiles alone.
+"""Update of the waterfall's tiles in the worker process; errors affect only the tiles.
 
-A set is added while its file is made (`tile_record`); what older versions, a full volume or a damaged tile
-left out follows while nothing is due.
+A set is added while its file is written (`add_record_to_tiles`). Sets that are missing after an older
+version, a full volume or a corrupt tile are added while no set is due.
 """
 
 from __future__ import annotations
@@ -26,8 +26,10 @@ EVERY_S, SETS_A_TURN = 10.0, 4
 """Some hundredths of a second each: about one per cent of a core."""
 
 
-def tile_record(folder: Path, experiment: str, anchors: Mapping[int, float], record: SetRecord) -> str:
-    """Add a set at hand to the tiles; return what kept it from them, empty: nothing."""
+def add_record_to_tiles(
+    folder: Path, experiment: str, anchors: Mapping[int, float], record: SetRecord
+) -> str:
+    """Add the records of a set to the tiles; return an error message, empty on success."""
     if record.set_index >= PLANNED_SETS:
         return ""
     try:
@@ -37,44 +39,44 @@ def tile_record(folder: Path, experiment: str, anchors: Mapping[int, float], rec
     return ""
 
 
-def tiled(folder: Path, experiment: str, sets: Sequence[tuple[str, Results]]) -> str:
-    """Add stored sets to the tiles; return what kept one from it, empty: nothing."""
-    told = ""
+def add_files_to_tiles(folder: Path, experiment: str, sets: Sequence[tuple[str, Results]]) -> str:
+    """Add stored sets to the tiles; return the last error message, empty on success."""
+    message = ""
     for file, results in sets:
         try:
             write_tiles_of_file(folder, experiment, SetReference(file), anchors_of(results))
         except Exception as error:  # noqa: BLE001 - a cache; whatever it meets, the test goes on
-            told = repr(error)
-    return told
+            message = repr(error)
+    return message
 
 
-def tiles_again(
+def rebuild_tiles(
     folder: Path,
     experiment: str,
     files: Mapping[int, str],
     results: Callable[[int], Results],
     progress: Callable[[int, int], None],
 ) -> list[str]:
-    """Make the tiles of a folder anew; what could not be made is returned in words."""
+    """Rebuild the tiles of a folder and return the error messages."""
     try:
         forget_tiles(folder)
     except OSError as error:
         return [f"the old tiles stay: {error}"]
-    told = []
-    for number, (set_index, file) in enumerate(_of_the_plan(files).items()):
-        if why := tiled(folder, experiment, [(file, results(set_index))]):
-            told.append(f"{file}: {why}")
+    messages = []
+    for number, (set_index, file) in enumerate(_scheduled_only(files).items()):
+        if message := add_files_to_tiles(folder, experiment, [(file, results(set_index))]):
+            messages.append(f"{file}: {message}")
         progress(number + 1, len(files))
-    return told
+    return messages
 
 
-def _of_the_plan(files: Mapping[int, str]) -> dict[int, str]:
-    """Leave out what was struck beside the plan: it has no place in the picture."""
+def _scheduled_only(files: Mapping[int, str]) -> dict[int, str]:
+    """Return the files of the scheduled sets, because the waterfall shows no others."""
     return {index: file for index, file in files.items() if index < PLANNED_SETS}
 
 
 class TileMaker:
-    """Adds the sets that the tiles lack, while nothing is due.
+    """Background task that adds missing sets to the tiles while no set is due.
 
     Parameters
     ----------
@@ -102,10 +104,10 @@ class TileMaker:
         self._round: list[tuple[int, str]] = []
         self._running: Future[str] | None = None
         self._next_s = mono_s()
-        self._told = ""
+        self._last_message = ""
 
     def work(self, free_s: float) -> None:
-        """Take back what is done, and go on.
+        """Process the finished sets and submit the next ones.
 
         Parameters
         ----------
@@ -120,29 +122,31 @@ class TileMaker:
         free = free_s > QUIET_S and not self._compaction.waits
         if free and self._has_room() and self._mono_s() >= self._next_s:
             self._next_s = self._mono_s() + EVERY_S
-            self._begin(self._of_the_round())
+            self._submit(self._next_sets_of_round())
 
-    def _of_the_round(self) -> list[tuple[int, str]]:
-        """Choose sets of which nobody knows whether the tiles have them; the newest ones come first."""
+    def _next_sets_of_round(self) -> list[tuple[int, str]]:
+        """Return the next sets to check in this round, the newest first."""
         if not self._round:
-            self._round = sorted(_of_the_plan(self._files()).items())
-        some, self._round = self._round[-SETS_A_TURN:], self._round[:-SETS_A_TURN]
-        return some
+            self._round = sorted(_scheduled_only(self._files()).items())
+        next_sets, self._round = self._round[-SETS_A_TURN:], self._round[:-SETS_A_TURN]
+        return next_sets
 
-    def _begin(self, sets: Sequence[tuple[int, str]]) -> None:
+    def _submit(self, sets: Sequence[tuple[int, str]]) -> None:
         try:
-            told = [(file, self._results(set_index)) for set_index, file in sets]
+            files_and_results = [(file, self._results(set_index)) for set_index, file in sets]
         except (StorageError, OSError) as error:
             log.warning("no tiles of the waterfall now: %s", error)
             return
-        if told:
-            self._running = self._compaction.beside(tiled, self._folder, self._experiment, told)
+        if files_and_results:
+            self._running = self._compaction.submit(
+                add_files_to_tiles, self._folder, self._experiment, files_and_results
+            )
 
     def _take_back(self, future: Future[str]) -> None:
         try:
-            told = future.result()
+            message = future.result()
         except Exception as error:  # noqa: BLE001 - a worker that died; the round comes again
-            told = repr(error)
-        if told and told != self._told:
-            log.warning("the tiles of the waterfall lack sets: %s", told)
-        self._told = told
+            message = repr(error)
+        if message and message != self._last_message:
+            log.warning("the tiles of the waterfall lack sets: %s", message)
+        self._last_message = message

@@ -1,4 +1,4 @@
-"""While nothing is due, stored sets are read one after the other, in the worker's process."""
+"""Verification of stored sets, one after the other, in the worker process while no set is due."""
 
 from __future__ import annotations
 
@@ -20,31 +20,31 @@ log = logging.getLogger(__name__)
 EVERY_S = 10.0
 """A set of the paper's test takes some tenths of a second: a few per cent of one core."""
 _TROUBLE = (StorageError, OSError)
-"""Whatever the disk or the catalogue says: the test goes on."""
+"""Errors of disk or catalogue that do not stop the test."""
 QUIET_S = 10.0
 """Before a set is due the computer is left alone for so long."""
 
 
 class IdleVerification:
-    """Goes through the files of a folder again and again, and knows which are damaged.
+    """Background task that verifies the files of a folder repeatedly and lists the corrupt ones.
 
     Parameters
     ----------
     compaction
         Whose worker reads the files, when it has nothing else to do.
     lost
-        Names the files that are gone, and how (`lost_sets`).
+        Returns the missing files, with the reason (`lost_sets`).
     sha256_of
-        Tells the SHA-256 of a set's file as it was written; None: nobody noted it.
+        Returns the SHA-256 of a set's file as it was written; None if it was not stored.
     note
-        Told set index, file and SHA-256 of a sound file of which nobody noted it.
+        Called with set index, file and SHA-256 of an intact file without a stored SHA-256.
 
     Attributes
     ----------
     damaged
-        File, relative to the data folder, to what is wrong with it.
+        Fault of each corrupt file, by its path relative to the data folder.
     files_read
-        Files read so far, sound or damaged.
+        Number of files read, intact or corrupt.
     """
 
     def __init__(
@@ -66,12 +66,12 @@ class IdleVerification:
         self.files_read = 0
 
     def begin(self, known: Mapping[str, str] = MappingProxyType({})) -> None:
-        """Begin a round: which files there are, and which are gone.
+        """Start a round: list the files and those that are missing.
 
         Parameters
         ----------
         known
-            Found damaged by an earlier process: looked at first, and damaged until then.
+            Corrupt files found by an earlier process: they are verified first.
         """
         try:
             lost = self._lost()
@@ -85,7 +85,7 @@ class IdleVerification:
         self.damaged = {**{file: suspects[file] for file in self._to_come if file in suspects}, **lost}
 
     def work(self, free_s: float) -> None:
-        """Take back what is read, and have the next file read if there is time.
+        """Process a verified file, and submit the next one if there is time.
 
         Parameters
         ----------
@@ -108,18 +108,18 @@ class IdleVerification:
                 except _TROUBLE as error:
                     log.warning("%s is checked later: %s", file, error)
                     return
-                future_or_none = self._compaction.beside(damage_of, self._folder / file, sha256)
+                future_or_none = self._compaction.submit(damage_of, self._folder / file, sha256)
                 if future_or_none is not None:
                     self._running = file, sha256 is not None, future_or_none
                     del self._to_come[0]
 
     def _take_back(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
         try:
-            told, sha256 = future.result()
-            if not (told or is_noted):
+            fault, sha256 = future.result()
+            if not (fault or is_noted):
                 self._note(_index_of(file), file, sha256)
         except SetNotFoundError:
-            told = "is missing"
+            fault = "is missing"
         except _TROUBLE as error:
             log.warning("%s is checked again later: %s", file, error)
             return
@@ -127,8 +127,8 @@ class IdleVerification:
             log.error("%s could not be checked: %s", file, error)
             return
         self.files_read += 1
-        if told:
-            self.damaged[file] = told
+        if fault:
+            self.damaged[file] = fault
         else:
             self.damaged.pop(file, None)
 

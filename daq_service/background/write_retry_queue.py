@@ -1,4 +1,4 @@
-"""What waits for the disk: jobs in their order, kept in memory until the disk takes them."""
+"""Write-retry queue: jobs wait in memory, in their order, until the disk accepts them."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ WAITS_S = (1.0, 2.0, 5.0, 10.0, 30.0)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Trouble:
-    """Why nothing is stored, and since when (monotonic seconds)."""
+    """Reason why nothing is stored, and its start in monotonic seconds."""
 
     message: str
     since_s: float
 
 
 class WriteRetryQueue:
-    """Runs jobs in their order; one that the disk refuses stays, and those behind it wait.
+    """Queue of jobs that run in their order; one that the disk rejects is retried before the others.
 
     Parameters
     ----------
@@ -62,16 +62,16 @@ class WriteRetryQueue:
 
     @property
     def has_room(self) -> bool:
-        """Whether another set may be taken."""
+        """Return whether there is memory for another set."""
         return self._n_bytes < self._limit_bytes
 
     def put(self, job: Callable[[], None], *, n_bytes: int = 0) -> None:
-        """Run a job when all before it are done: now, where nothing waits.
+        """Run a job after all jobs before it; at once if none waits.
 
         Parameters
         ----------
         job
-            Called again after it was refused: what it has done it must know itself.
+            Called again after an error, so it must be idempotent.
         n_bytes
             Memory that it holds.
         """
@@ -81,7 +81,7 @@ class WriteRetryQueue:
             self._work()
 
     def work(self, *, at_once: bool = False) -> None:
-        """Try again if it is time to, or at once."""
+        """Retry the jobs if the waiting time is over, or at once."""
         if self._jobs and (at_once or self._mono_s() >= self._next_s):
             self._work()
 

@@ -15,7 +15,7 @@ _PROCESS_FRAME = f"process-{uuid.uuid4()}"
 
 
 def _sysctl_text(name: str) -> str:
-    """Text of a kernel variable of macOS."""
+    """Return the text of a kernel variable of macOS."""
     import ctypes
 
     size = ctypes.c_size_t(64)
@@ -26,7 +26,7 @@ def _sysctl_text(name: str) -> str:
 
 
 def _word_at(address: int) -> int:
-    """Unsigned 32-bit word of this process's memory."""
+    """Read an unsigned 32-bit word of this process's memory."""
     import ctypes
 
     return ctypes.c_uint32.from_address(address).value
@@ -39,7 +39,7 @@ def boot_name(
     sysctl: Callable[[str], str] = _sysctl_text,
     word_at: Callable[[int], int] = _word_at,
 ) -> str | None:
-    """Name of this boot: the same in each of its processes, another after the next start of the machine.
+    """Return the name of this boot: the same in each process, different after the next start.
 
     The time of the boot is no name: the kernels of Windows and macOS move it when the clock is set.
 
@@ -64,5 +64,5 @@ def boot_name(
 
 
 def boot_id() -> str:
-    """Frame in which monotonic times compare: this boot, or this process where no boot has a name."""
+    """Return the frame of comparable monotonic times: this boot, or this process if it has no name."""
     return boot_name() or _PROCESS_FRAME

@@ -1,4 +1,4 @@
-"""What a machine tells of its time: how much of its boot has elapsed, and whether its UTC is kept right."""
+"""Time of a computer: time elapsed since its boot, and whether its UTC is synchronised."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ KERNEL_GIVES_UP_US = 16_000_000
 
 
 def elapsed_source(platform: str = sys.platform) -> Callable[[], int]:
-    """Clock of the time elapsed in this boot in ns, sleep included, which nobody sets.
+    """Return the clock of the time since the boot in ns, sleep included, which cannot be set.
 
     Linux and macOS have one beside the usual monotonic clock, which stops in their sleep. That of Windows
     (GetTickCount64, from Python 3.13 on QueryPerformanceCounter) counts on; elsewhere sleep is not counted.
@@ -26,7 +26,7 @@ elapsed_ns = elapsed_source()
 
 
 def is_synchronised(platform: str = sys.platform) -> bool:
-    """Whether somebody keeps the system's UTC right, as the kernel knows it; False where nobody can tell.
+    """Return whether the kernel reports the system's UTC as synchronised; False if it is unknown.
 
     Only Linux is asked, for its estimate of the error: the flag that it also has is set by some for another
     reason.
@@ -46,9 +46,9 @@ def is_synchronised(platform: str = sys.platform) -> bool:
             ("rest", ctypes.c_byte * 256),
         )
 
-    told = Timex()
+    timex = Timex()
     try:
-        answered = ctypes.CDLL(None).adjtimex(ctypes.byref(told)) >= 0
+        succeeded = ctypes.CDLL(None).adjtimex(ctypes.byref(timex)) >= 0
     except (OSError, AttributeError):
         return False
-    return bool(answered and told.maxerror < KERNEL_GIVES_UP_US)
+    return bool(succeeded and timex.maxerror < KERNEL_GIVES_UP_US)

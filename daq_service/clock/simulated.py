@@ -10,7 +10,7 @@ from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 
 class SimulatedClock:
-    """Experiment time that passes only while somebody waits.
+    """Clock whose time passes only while a caller waits.
 
     Parameters
     ----------
@@ -41,11 +41,11 @@ class SimulatedClock:
         self._anchor = (start_utc_ns, wall_ns())
 
     def utc_ns(self) -> int:
-        """Experiment time."""
+        """Return the experiment time in ns of UTC."""
         return self._utc_ns
 
     def mono_ns(self) -> int:
-        """Experiment time again: a simulated clock is never set back."""
+        """Return the experiment time in ns; a simulated clock is never set back."""
         return self._utc_ns
 
     def finish_now(self) -> None:
@@ -53,7 +53,7 @@ class SimulatedClock:
         self._pace_h_per_s = None
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Jump, or walk at the pace, to ``utc_ns``; a time in the past is reached at once."""
+        """Wait until ``utc_ns``: jump, or follow the pace; a past time is reached at once."""
         while self._pace_h_per_s is not None and utc_ns > self._utc_ns:
             due_wall_ns = (
                 self._anchor[1] + (utc_ns - self._anchor[0]) / (self._pace_h_per_s * NS_PER_H) * NS_PER_S

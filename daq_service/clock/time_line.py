@@ -38,7 +38,7 @@ class TimeLine:
     ahead_ns: int = 0
 
     def at(self, system_ns: int, elapsed_ns: int) -> TimeLine:
-        """Go on to a later moment of the boot.
+        """Return the line at a later moment of the boot.
 
         Between two looks the line runs 500 ppm faster or slower than elapsed time at most, towards the
         system's UTC; it never runs back. A step changes nothing but ``ahead_ns``.
@@ -57,7 +57,7 @@ class TimeLine:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Step:
-    """What became of the system's clock: ready to be told as an event's payload.
+    """Step of the system's clock, as payload of an event.
 
     Attributes
     ----------
@@ -77,7 +77,7 @@ class Step:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Before:
-    """What a data folder knows of the time when a recorder starts.
+    """Time that a data folder has stored before a recorder starts.
 
     Attributes
     ----------
@@ -94,7 +94,7 @@ class Before:
     doubt_after_h: float = 72.0
 
     def doubt(self, system_ns: int, *, synchronised: bool) -> str:
-        """Why the system's UTC after a reboot cannot be believed; empty where it can."""
+        """Return why the system's UTC is unverified after a reboot; empty if it is verified."""
         says = f"the system's clock says {format_utc(system_ns, 0)}"
         last = f"what was stored last ({format_utc(self.last_utc_ns, 0)})"
         gap_h = (system_ns - self.last_utc_ns) / NS_PER_H

@@ -46,7 +46,7 @@ class WallClock:
         self._synchronised, self._sleep = synchronised, sleep
         self._boot = boot()
         self._steps: list[Step] = []
-        system, elapsed = self._both()
+        system, elapsed = self._read_both()
         self._line = TimeLine(utc_ns=system, elapsed_ns=elapsed)
         self._doubted: Before | None = None
         if before is not None and before.line is not None:
@@ -55,19 +55,19 @@ class WallClock:
             self._doubted = before
 
     def utc_ns(self) -> int:
-        """Experiment time."""
+        """Return the experiment time in ns of UTC."""
         if self._doubted is not None:
             return self._doubted.last_utc_ns
-        system, elapsed = self._both()
+        system, elapsed = self._read_both()
         before, self._line = self._line, self._line.at(system, elapsed)
         if self._line.ahead_ns != before.ahead_ns:
             self._steps.append(
-                self._told(self._line.ahead_ns - before.ahead_ns, "the system's clock was set")
+                self._step(self._line.ahead_ns - before.ahead_ns, "the system's clock was set")
             )
         return self._line.utc_ns
 
     def mono_ns(self) -> int:
-        """Time elapsed in this boot, sleep included."""
+        """Return the time elapsed since the boot in ns, sleep included."""
         return self._elapsed_ns()
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
@@ -79,19 +79,19 @@ class WallClock:
         return idle()
 
     def line(self) -> TimeLine | None:
-        """Experiment time and elapsed time of one moment, for a later recorder; None while it is doubted."""
+        """Return experiment and elapsed time of one moment for a later recorder; None if unverified."""
         self.utc_ns()
         return None if self._doubted is not None else self._line
 
     def steps(self) -> list[Step]:
-        """Hand over the steps found since this was asked last."""
+        """Return the steps since the last call."""
         found, self._steps = self._steps, []
         return found
 
     # While the system's UTC is doubted ---------------------------------------------------------------
 
     def wait_while_doubted(self, idle: Callable[[str], bool]) -> Step | None:
-        """Wait until the system's UTC can be believed, or is trusted.
+        """Wait until the system's UTC is verified, or a person trusts it.
 
         Parameters
         ----------
@@ -105,7 +105,7 @@ class WallClock:
         """
         waited = self._doubted is not None
         while self._doubted is not None:
-            system, elapsed = self._both()
+            system, elapsed = self._read_both()
             reason = self._doubted.doubt(system, synchronised=self._synchronised())
             if not reason:
                 self._go_on(system, elapsed)
@@ -113,20 +113,20 @@ class WallClock:
                 return None
             elif self._doubted is not None:
                 self._sleep(IDLE_INTERVAL_S)
-        return self._told(0, "the system's clock is believed") if waited else None
+        return self._step(0, "the system's clock is believed") if waited else None
 
     def trust(self) -> str:
-        """Believe the system's UTC on a person's word, never before what is stored; say how time goes on.
+        """Accept the system's UTC at a person's request, not before the last stored time; return a message.
 
         Raises
         ------
         ValueError
-            Nobody doubts it.
+            It is verified already.
         """
         if self._doubted is None:
             raise ValueError("the system's clock is believed already")
-        self._go_on(*self._both())
-        return self._told(0, "the system's clock is trusted").message
+        self._go_on(*self._read_both())
+        return self._step(0, "the system's clock is trusted").message
 
     def _go_on(self, system_ns: int, elapsed_ns: int) -> None:
         assert self._doubted is not None, "only a doubted clock is believed anew"
@@ -136,20 +136,20 @@ class WallClock:
 
     # -------------------------------------------------------------------------------------------------
 
-    def _both(self) -> tuple[int, int]:
-        """System's UTC and elapsed time of one moment."""
+    def _read_both(self) -> tuple[int, int]:
+        """Read the system's UTC and the elapsed time of one moment, in ns."""
         for _ in range(LOOKS):
             elapsed, system = self._elapsed_ns(), self._system_ns()
             if self._elapsed_ns() - elapsed < TORN_NS:
                 break
         return system, elapsed
 
-    def _told(self, step_ns: int, what: str) -> Step:
+    def _step(self, step_ns: int, what: str) -> Step:
         step_s, ahead_s = step_ns / NS_PER_S, self._line.ahead_ns / NS_PER_S
         utc_ns, system_ns = self._line.utc_ns, self._line.utc_ns + self._line.ahead_ns
         by = f" by {step_s:+.3f} s" if step_ns else ""
         side = "ahead of it" if ahead_s > 0.0 else "behind it"
-        beside = f"; the system's clock is {abs(ahead_s):.3f} s {side}" if ahead_s else ""
+        difference = f"; the system's clock is {abs(ahead_s):.3f} s {side}" if ahead_s else ""
         return Step(
             step_s=step_s,
             ahead_s=ahead_s,
@@ -157,5 +157,5 @@ class WallClock:
             experiment_utc_ns=utc_ns,
             boot=self._boot,
             message=f"{what}{by} to {format_utc(system_ns, 3)}; the test goes on at {format_utc(utc_ns, 3)} "
-            f"by elapsed time{beside}",
+            f"by elapsed time{difference}",
         )

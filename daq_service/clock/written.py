@@ -8,7 +8,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 
 def parse_utc(text: str) -> int:
-    """RFC 3339 time to integer nanoseconds of UTC.
+    """Convert an RFC 3339 time to integer nanoseconds of UTC.
 
     Raises
     ------
@@ -23,7 +23,7 @@ def parse_utc(text: str) -> int:
 
 
 def format_utc(utc_ns: int, decimals: int = 9) -> str:
-    """Integer nanoseconds of UTC to RFC 3339 (ISO 8601), cut to ``decimals`` (0 to 9) of the seconds."""
+    """Format integer nanoseconds of UTC as RFC 3339 (ISO 8601), truncated to ``decimals`` (0 to 9)."""
     whole, rest = divmod(utc_ns, NS_PER_S)
     stamp = datetime.fromtimestamp(whole, tz=UTC).strftime("%Y-%m-%dT%H:%M:%S")
     return stamp + (f".{rest:09d}"[: decimals + 1] if decimals else "") + "Z"

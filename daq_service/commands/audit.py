@@ -1,9 +1,9 @@
-"""``audit.jsonl``: who asked for what, from where, and what came of it.
+"""``audit.jsonl``: who requested what, from where, and with which result.
 
-Append-only lines like those of ``history.jsonl``, in a file of their own: what is refused before there is a
-catalogue, or while it is damaged, is told all the same, and a lost catalogue loses none of it. Every process
-may add lines, one after the other. Trouble with the file is a warning: nobody is kept from a hold by a full
-disk. A flood of refusals leaves a bounded number of lines, and the count of what was left out.
+Append-only lines like those of ``history.jsonl``, in a separate file: it also has requests that are rejected
+before there is a catalogue, or while that is corrupt, and survives a lost catalogue. Every process may add
+lines, one after the other. An error of the file is only a warning, so a full disk prevents no pause. A flood
+of rejections leaves a limited number of lines and the count of those left out.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ Result = Literal["accepted", "done", "refused", "failed"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuditEntry:
-    """What somebody asked for.
+    """One request of a person.
 
     Attributes
     ----------
@@ -65,14 +65,14 @@ class AuditEntry:
 
 
 class Allowance:
-    """So many at once, then one in a while."""
+    """Rate limit: a burst of a maximum size, then one in each interval."""
 
     def __init__(self, most: int, every_s: float, *, mono_s: Callable[[], float] = time.monotonic) -> None:
         self._most, self._every_s, self._mono_s = most, every_s, mono_s
         self._left, self._at_s = float(most), mono_s()
 
     def take(self) -> bool:
-        """Take one if there is one."""
+        """Return whether another one is allowed, and count it."""
         now_s = self._mono_s()
         self._left = min(self._most, self._left + (now_s - self._at_s) / self._every_s)
         self._at_s = now_s
@@ -83,7 +83,7 @@ class Allowance:
 
 
 class Audit:
-    """Adds to the audit of a data folder; for any thread."""
+    """Writer of the audit log of a data folder; thread-safe."""
 
     def __init__(self, folder: Path, *, mono_s: Callable[[], float] = time.monotonic) -> None:
         self._path, self._mono_s = folder / AUDIT_FILE, mono_s
@@ -92,28 +92,28 @@ class Audit:
         self._lock = threading.Lock()
 
     def leave_out(self) -> None:
-        """Count a refusal that is not told."""
+        """Count a rejection that is not written."""
         with self._lock:
             self._left_out += 1
 
-    def tell(self, **deed: Any) -> None:
-        """Add a deed, unless it is one refusal too many."""
-        told = AuditEntry(**deed)
+    def add(self, **fields: Any) -> None:
+        """Append an entry, unless it is a rejection above the rate limit."""
+        entry = AuditEntry(**fields)
         with self._lock:
-            if told.result == "refused" and not self._allowance(told).take():
+            if entry.result == "refused" and not self._allowance(entry).take():
                 self._left_out += 1
                 return
             left_out, self._left_out = self._left_out, 0
         try:
-            append_line(self._path, TABLE, asdict(told) | {"left_out": left_out})
+            append_line(self._path, TABLE, asdict(entry) | {"left_out": left_out})
         except OSError as error:
-            log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, told.what, told.result, told.who, error)
+            log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, entry.what, entry.result, entry.who, error)
 
-    def _allowance(self, deed: AuditEntry) -> Allowance:
-        whose = deed.who if deed.role not in ("", "claimed") else deed.role
-        if whose not in self._allowances:
-            self._allowances[whose] = Allowance(MOST_REFUSALS, REFUSAL_EVERY_S, mono_s=self._mono_s)
-        return self._allowances[whose]
+    def _allowance(self, entry: AuditEntry) -> Allowance:
+        name = entry.who if entry.role not in ("", "claimed") else entry.role
+        if name not in self._allowances:
+            self._allowances[name] = Allowance(MOST_REFUSALS, REFUSAL_EVERY_S, mono_s=self._mono_s)
+        return self._allowances[name]
 
 
 def read_audit(
@@ -121,16 +121,16 @@ def read_audit(
     *,
     limit: int,
     end: int | None = None,
-    wanted: Callable[[AuditEntry], bool] = lambda deed: True,
+    wanted: Callable[[AuditEntry], bool] = lambda entry: True,
 ) -> tuple[list[tuple[int, AuditEntry]], int | None]:
-    """Read the newest deeds and their numbers, as `line_file.newest_lines` (`solimon verify` tells damage).
+    """Read the newest entries with their numbers, as `line_file.newest_lines`.
 
     Raises
     ------
     OSError
         The file cannot be read.
     """
-    found, before = newest_lines(
+    lines, before = newest_lines(
         folder / AUDIT_FILE, limit=limit, end=end, wanted=lambda row: wanted(AuditEntry(**row))
     )
-    return [(number, AuditEntry(**row)) for number, row in found], before
+    return [(number, AuditEntry(**row)) for number, row in lines], before

@@ -1,4 +1,4 @@
-"""Orders about baselines: a signature, and a successor after a repair or a re-seat."""
+"""Commands about baselines: approve one, or renew it after a repair or a re-seat."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from daq_service.alarms.states import ALARMS_OF_CHANGE, NOT_ASSESSED, reset
-from daq_service.assessment.baseline_lifecycle import APPROVED, COLLECTING, RETIRED, renewed, signed
+from daq_service.assessment.baseline_lifecycle import APPROVED, COLLECTING, RETIRED, approve, renew
 from daq_service.commands.kinds import SEEN, Facts, Refusal, TransducerArguments, TransducerOrder
 from daq_service.settings.foreign_text import require_written
 
@@ -51,7 +51,7 @@ class ApproveBaseline(TransducerOrder):
         row = test.baseline(self.arguments.position)
         assert row is not None, "a proposed baseline has a row"
         moment = test.moment()
-        test.change_baselines(moment, (signed(row, self.author, moment.utc_ns), APPROVED))
+        test.change_baselines(moment, (approve(row, self.author, moment.utc_ns), APPROVED))
         return f"{row.name} is approved"
 
 
@@ -71,19 +71,19 @@ class RenewBaseline(TransducerOrder):
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        position, moment, because = self.arguments.position, test.moment(), self.arguments.note.strip()
-        retired, collecting = renewed(
+        position, moment, reason = self.arguments.position, test.moment(), self.arguments.note.strip()
+        retired, collecting = renew(
             position,
             test.settings,
             test.baseline(position),
             first_set=test.next_set(),
             author=self.author,
-            because=because,
+            reason=reason,
             utc_ns=moment.utc_ns,
         )
         # Nothing has returned to normal: what they were judged by is gone.
         ended = [
-            reset(row, self.author, f"its baseline was retired: {because}", moment)
+            reset(row, self.author, f"its baseline was retired: {reason}", moment)
             for kind in (*ALARMS_OF_CHANGE, NOT_ASSESSED)
             if (row := test.alarms.get((position, kind))) is not None and row.state != "normal"
         ]

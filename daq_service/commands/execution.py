@@ -1,10 +1,10 @@
-"""The recorder's side: orders are rows of ``commands``, carried out and answered one at a time.
+"""Execution of commands in the recorder: rows of ``commands``, executed and answered one at a time.
 
-An order is marked as started before it is carried out, and what is found open at a start is closed: nobody
-carries it out again. What an order stores is stored together with its answer, so one that does nothing else
-is done or has expired. Of one that does more, such as to switch the supply, nobody knows how far its
-recorder came before it died: it is told as failed. One that was not begun by its deadline, or before its
-recorder ended, expires.
+A command is marked as started before it is executed. Commands that are open at a start of the recorder are
+closed and never executed again. The changes of a command are stored together with its answer, so a command
+that changes only rows is done or has expired. Any other command, such as to switch the supply, may be
+executed in part when the recorder dies: it is reported as failed. A command that is not started by its
+deadline, or before its recorder ends, expires.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import CommandRow, CommandState
 from daq_service.clock import SimulatedClock
-from daq_service.commands.deadline import as_it_stands, expired_reason, left_now_s
+from daq_service.commands.deadline import expired_reason, remaining_now_s, with_expiry
 from daq_service.commands.kinds import Facts, Order
 from daq_service.commands.registry import KINDS, parse_command
-from daq_service.commands.running_test import Awaited, RunningTest
+from daq_service.commands.running_test import PendingAnswer, RunningTest
 from daq_service.errors import StorageError, UsageError
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -34,20 +34,20 @@ FAILED: Answer = (
     "the recorder ended while carrying it out; look before you give it again",
 )
 HARMLESS_TWICE = ("stop", "supply_off")
-"""Carried out also where the disk does not take the mark before."""
+"""Commands that are executed even if the disk cannot store the mark before."""
 LISTEN_EVERY_S = 0.2
 """A person does not notice a fifth of a second; SQLite does not notice five queries a second."""
 
 
 class CommandExecutor:
-    """Obeys orders, one at a time, between shots and while waiting.
+    """Executor of commands, one at a time, between shots and while waiting.
 
     Parameters
     ----------
     listen_every_s
-        Shortest time between two looks, on the machine's monotonic clock.
+        Minimum time between two queries, on the computer's monotonic clock.
     left_s
-        Tells the time that an order has left, in real time whatever clock the test runs on.
+        Returns the remaining time of a command in s of real time, for any clock of the test.
     adopt
         Takes over the alarm that another process may have raised or cleared.
     """
@@ -59,7 +59,7 @@ class CommandExecutor:
         *,
         listen_every_s: float = LISTEN_EVERY_S,
         mono_ns: Callable[[], int] = time.monotonic_ns,
-        left_s: Callable[[CommandRow], float] = left_now_s,
+        left_s: Callable[[CommandRow], float] = remaining_now_s,
         adopt: Callable[[], None] = lambda: None,
     ) -> None:
         self._catalogue = catalogue
@@ -67,42 +67,42 @@ class CommandExecutor:
         self._listen_every_ns = round(listen_every_s * NS_PER_S)
         self._mono_ns = mono_ns
         self._left_s, self._adopt = left_s, adopt
-        self._begun = False
+        self._has_started = False
         self._listened_ns: int | None = None
         self._answers: dict[int, Answer] = {}
-        self._awaited: dict[int, Awaited] = {}
-        # Whatever ended the last recorder: a restart never ends a hold.
+        self._awaited: dict[int, PendingAnswer] = {}
+        # A restart never ends a pause.
         self._held = catalogue.held() or ""
 
     @property
     def held(self) -> str:
-        """Who holds the test and why; empty while it runs. A hold outlives a restart."""
+        """Return who paused the test and why; empty while it runs. A pause continues after a restart."""
         return self._held
 
     def begin(self) -> None:
-        """Close what an earlier recorder left open: nothing of it is carried out any more."""
-        if not self._begun:
+        """Close the commands that an earlier recorder left open, without executing them."""
+        if not self._has_started:
             self.close("it was given before this recorder began")
-            self._begun = True
+            self._has_started = True
 
     def close(self, why: str) -> None:
-        """Answer every open order without carrying it out."""
+        """Answer every open command without executing it."""
         for row in self._catalogue.open_commands():
-            unknown = row.state == "started" and not KINDS.get(row.kind, Order).rows_only
-            left_open = FAILED if unknown else ("expired", expired_reason(why))
-            self._finish(row, self._answers.get(row.id, left_open))
+            is_unknown = row.state == "started" and not KINDS.get(row.kind, Order).rows_only
+            answer = FAILED if is_unknown else ("expired", expired_reason(why))
+            self._finish(row, self._answers.get(row.id, answer))
 
     def listen(self) -> None:
-        """Carry out what is waiting; a refused order is answered with the reason."""
+        """Execute the waiting commands; a rejected one is answered with the reason."""
         self.begin()
         now_ns = self._mono_ns()
         if self._listened_ns is not None and now_ns - self._listened_ns < self._listen_every_ns:
             return
         self._listened_ns = now_ns
         for row in self._catalogue.open_commands():
-            # Once: an answer that the disk did not take must not switch a supply on a second time.
-            answer = self._answers.get(row.id) or self._carried_out(row)
-            # What is stored says it, as after a restart.
+            # Once: if the disk cannot store an answer, the supply must not be switched on a second time.
+            answer = self._answers.get(row.id) or self._execute(row)
+            # Read from the catalogue, as after a restart.
             self._held = self._catalogue.held() or ""
             if answer is not None:
                 self._answers[row.id] = answer
@@ -114,42 +114,42 @@ class CommandExecutor:
         if answer[0] in ("expired", "failed"):
             log.warning("order %d (%s) of %s: %s: %s", row.id, row.kind, row.author, *answer)
 
-    def _carried_out(self, row: CommandRow) -> Answer | None:
-        """Carry an order out; its state and result, None where they are stored with what it did.
+    def _execute(self, row: CommandRow) -> Answer | None:
+        """Execute a command and return its state and result; None if they are stored with its changes.
 
-        None also where an instrument has not answered yet.
+        None also while an instrument has not responded.
         """
         if (awaited := self._awaited.get(row.id)) is not None:
-            return self._answered(row, awaited)
+            return self._poll_answer(row, awaited)
         if row.state == "pending" and self._left_s(row) > 0.0:
             try:
                 self._catalogue.start_command(row.id)
             except StorageError:
                 if row.kind not in HARMLESS_TWICE:
                     raise
-        # Asked again: whoever still found it pending at its deadline was told that nobody begins it.
-        standing = as_it_stands(replace(row, state="pending"), self._left_s(row))
-        if standing.state == "expired":
-            return "expired", standing.result or ""
-        told: list[Transaction] = []
+        # Checked again: a reader that found it pending at its deadline has reported it as expired.
+        current_row = with_expiry(replace(row, state="pending"), self._left_s(row))
+        if current_row.state == "expired":
+            return "expired", current_row.result or ""
+        transactions: list[Transaction] = []
         self._adopt()
         try:
             order = parse_command(row.kind, row.author, row.arguments)
-            result = order.carry_out(replace(self._test, store=told.append), row.id, self._facts())
+            result = order.carry_out(replace(self._test, store=transactions.append), row.id, self._facts())
         except (UsageError, ValueError) as error:
             return _refused(row, error)
         if callable(result):
             self._awaited[row.id] = result
-            return self._answered(row, result)
+            return self._poll_answer(row, result)
         log.info("order %d (%s) of %s: %s", row.id, row.kind, row.author, result)
-        if not told:
+        if not transactions:
             return "done", result
-        (transaction,) = told
+        (transaction,) = transactions
         transaction.order = replace(row, state="done", result=result, finished_wall_utc_ns=time.time_ns())
         self._test.store(transaction)
         return None
 
-    def _answered(self, row: CommandRow, awaited: Awaited) -> Answer | None:
+    def _poll_answer(self, row: CommandRow, awaited: PendingAnswer) -> Answer | None:
         """Return the answer of an instrument to a command that was sent to it; None while there is none."""
         try:
             if (result := awaited()) is None:

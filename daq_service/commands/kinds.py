@@ -1,7 +1,8 @@
-"""Orders to a running test: of each kind its arguments, what forbids it, and what it does.
+"""Commands to a running test: arguments, conditions and effect of each kind.
 
-The web and the command line check the arguments; the web asks `Order.forbidden` of what is stored, the
-recorder of what is so now. A new kind is a class here, or in a module beside, and a name in `every.AnyOrder`.
+The web service and the command line check the arguments. The web service calls `Order.forbidden` with stored
+facts, the recorder with current ones. A new kind is a class in this package and a name in
+`registry.AnyOrder`.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ from daq_service.clock import SimulatedClock, WallClock
 from daq_service.settings.foreign_text import WRITTEN, require_written
 
 if TYPE_CHECKING:
-    from daq_service.commands.running_test import Awaited, RunningTest, StoredTest
+    from daq_service.commands.running_test import PendingAnswer, RunningTest, StoredTest
 
 LARGEST_ID = 2**53 - 1
 LARGEST_HOUR = 1e7
@@ -35,18 +36,18 @@ Author = Annotated[
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Facts:
-    """What may forbid an order.
+    """State of the test on which the rejection of a command depends.
 
     Attributes
     ----------
     recorder
-        How it is, in one word of `processes.recorder_state`; whoever obeys is running.
+        State by `processes.recorder_state`; in the recorder itself always ``running``.
     recorded
-        Somebody holds the recorder's lock, or nobody can tell.
+        The recorder's lock is held, or this is unknown.
     can_skip_time
-        The test runs on a simulated clock; asked by the web: on one that is paced.
+        The test runs on a simulated clock; for the web service: on a paced one.
     held
-        Who holds the test and why; empty while it runs.
+        Who paused the test and why; empty while it runs.
     positions
         The solitary-wave transducers.
     alarms
@@ -73,18 +74,18 @@ class Facts:
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """Why an order cannot be carried out.
+    """Rejection of a command, with reason and remedy.
 
     Attributes
     ----------
     reason
         The recorder's answer.
     hint
-        What would help, for whoever asks the web.
+        Remedy, for clients of the web service.
     sentence
-        The web's answer where it is not the reason as a sentence.
+        Answer of the web service, if it differs from the reason.
     missing
-        What the order is about does not exist.
+        The object of the command does not exist.
     """
 
     reason: str
@@ -94,7 +95,7 @@ class Refusal:
 
     @property
     def detail(self) -> str:
-        """The web's answer."""
+        """Return the answer of the web service as a sentence."""
         return self.sentence or f"{self.reason[0].upper()}{self.reason[1:]}."
 
 
@@ -179,7 +180,7 @@ class SupplyArguments(NoteArguments):
 
 
 class OrderRefusedError(ValueError):
-    """An order cannot be carried out now; ``refusal`` says why."""
+    """Error of a command that cannot be executed now, with its ``refusal``."""
 
     def __init__(self, refusal: Refusal) -> None:
         super().__init__(refusal.reason)
@@ -191,39 +192,39 @@ class Order(Strict):
 
     needs_recorder: ClassVar[bool] = True
     rows_only: ClassVar[bool] = False
-    """It does nothing but store one transaction, in which its answer stands too."""
+    """It only stores one transaction, which contains its answer."""
     kind: str
     author: Author = "operator"
     arguments: Any = NoArguments()
 
     def forbidden(self, facts: Facts) -> Refusal | None:
-        """Why it cannot be carried out now; None where nothing forbids it."""
-        told = f"the recorder has {facts.recorder}" if facts.recorder in {"finished", "stopped"} else ""
-        if self.needs_recorder and (told or not facts.recorded):
+        """Return why the command cannot be executed now; None if it can."""
+        ended = f"the recorder has {facts.recorder}" if facts.recorder in {"finished", "stopped"} else ""
+        if self.needs_recorder and (ended or not facts.recorded):
             return Refusal(
-                f"{told or 'nobody records this test'}: nobody would carry this out",
+                f"{ended or 'nobody records this test'}: nobody would carry this out",
                 "Start it with `solimon run` or `solimon record`, then give the order again.",
             )
         return self._forbidden(facts)
 
-    def carry_out(self, test: RunningTest, order_id: int, facts: Facts) -> str | Awaited:
-        """Do it and return what was done, or what returns that as soon as an instrument has answered.
+    def carry_out(self, test: RunningTest, order_id: int, facts: Facts) -> str | PendingAnswer:
+        """Execute the command and return its result, or a function that polls an instrument for it.
 
         Raises
         ------
         ValueError
-            It was not done, and why.
+            The command was not executed, with the reason.
         """
         self.refuse_forbidden(facts)
         return self._carry_out(test, order_id)
 
     def refuse_forbidden(self, facts: Facts) -> None:
-        """Go on only where nothing forbids it now.
+        """Raise an error if the command cannot be executed now.
 
         Raises
         ------
         OrderRefusedError
-            What does.
+            The command cannot be executed, with the reason.
         """
         refusal = self.forbidden(facts)
         if refusal is not None:
@@ -232,7 +233,7 @@ class Order(Strict):
     def _forbidden(self, facts: Facts) -> Refusal | None:
         return None
 
-    def _carry_out(self, test: RunningTest, order_id: int) -> str | Awaited:
+    def _carry_out(self, test: RunningTest, order_id: int) -> str | PendingAnswer:
         raise NotImplementedError
 
 
@@ -278,7 +279,7 @@ class DeskOrder(Order):
         return self.carry_out_stored(test)
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Do what nothing forbids, in one transaction, and say what was done."""
+        """Execute the command in one transaction and return its result as text."""
         raise NotImplementedError
 
 
@@ -302,7 +303,7 @@ class AcknowledgeAlarm(DeskOrder):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Carry the alarm on."""
+        """Acknowledge the alarm and return the result."""
         (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
         moment = test.moment()
         test.change_alarms(moment, states.acknowledge(row, self.author, self.arguments.note, moment))
@@ -326,13 +327,13 @@ class Annotate(DeskOrder):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Add it."""
-        given = self.arguments
+        """Store the annotation and return the result."""
+        arguments = self.arguments
         row = AnnotationRow(
-            position=given.position,
-            from_h=given.from_h,
-            to_h=given.from_h if given.to_h is None else given.to_h,
-            text=given.text.strip(),
+            position=arguments.position,
+            from_h=arguments.from_h,
+            to_h=arguments.from_h if arguments.to_h is None else arguments.to_h,
+            text=arguments.text.strip(),
             author=self.author,
             written_utc_ns=test.moment().utc_ns,
         )
@@ -361,7 +362,7 @@ class WithdrawAnnotation(DeskOrder):
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Mark it."""
+        """Mark the annotation as withdrawn and return the result."""
         (row,) = (row for row in test.annotations() if row.id == self.arguments.annotation_id)
         withdrawn = replace(row, withdrawn_utc_ns=test.moment().utc_ns, withdrawn_by=self.author)
         test.annotate(withdrawn, "annotation_withdrawn")
@@ -380,8 +381,8 @@ class Hold(Order):
         return Refusal(reason, "Release it first; a hold has one reason.") if facts.held else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        held = f"held by {self.author}: {self.arguments.note}"
-        test.tell("hold", {"held": held, "author": self.author})
+        text = f"held by {self.author}: {self.arguments.note}"
+        test.store_event("hold", {"held": text, "author": self.author})
         return "on hold: nothing strikes until the test is released; sets that fall due are missed"
 
 
@@ -397,7 +398,7 @@ class Release(Order):
         return None if facts.held else Refusal("the test is not on hold", hint)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        test.tell("release", {"held": "", "author": self.author, "note": self.arguments.note})
+        test.store_event("release", {"held": "", "author": self.author, "note": self.arguments.note})
         return "released: the next due set is taken"
 
 
@@ -429,9 +430,9 @@ class TransducerOrder(Order):
     def _forbidden(self, facts: Facts) -> Refusal | None:
         position = self.arguments.position
         if position not in facts.positions:
-            nobody = f"there is no solitary-wave transducer {position!r}"
+            missing = f"there is no solitary-wave transducer {position!r}"
             names = f"there are: {', '.join(facts.positions) or 'none'}"
-            return Refusal(f"{nobody}; {names}", f"T{names[1:]}.", f"T{nobody[1:]}.")
+            return Refusal(f"{missing}; {names}", f"T{names[1:]}.", f"T{missing[1:]}.")
         return self._forbidden_at(position, states.retired_positions(facts.alarms).get(position))
 
     def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
@@ -503,8 +504,8 @@ class Confirm(TransducerOrder):
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         position = self.arguments.position
-        because = self.arguments.note or f"{self.author} wants to know"
-        test.store(test.confirmation(position, self.author, because))
+        reason = self.arguments.note or f"{self.author} wants to know"
+        test.store(test.confirmation(position, self.author, reason))
         return f"a confirmation set is struck at {position} as soon as the line is free"
 
 
@@ -526,7 +527,7 @@ class SupplyOn(_SupplyOrder):
     author: Author
     arguments: SupplyArguments = SupplyArguments()
 
-    def _carry_out(self, test: RunningTest, order_id: int) -> Awaited:
+    def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
         volts, amperes = self.arguments.voltage_v, self.arguments.current_limit_a
         return test.switch.supply_on(
             self.author, test.moment().due_h, voltage_v=volts, current_limit_a=amperes
@@ -539,5 +540,5 @@ class SupplyOff(_SupplyOrder):
     kind: Literal["supply_off"]
     arguments: NoteArguments = NoteArguments()
 
-    def _carry_out(self, test: RunningTest, order_id: int) -> Awaited:
+    def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
         return test.switch.supply_off(self.author, test.moment().due_h)

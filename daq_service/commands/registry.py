@@ -1,4 +1,4 @@
-"""Every kind of order, by name."""
+"""All kinds of commands, by name."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ KINDS: Mapping[str, type[Order]] = {
 
 
 def parse_command(kind: str, author: str, arguments: Mapping[str, Any]) -> Order:
-    """Check an order that is no JSON of the web.
+    """Parse and validate a command that does not come as JSON from the web service.
 
     Raises
     ------
@@ -67,5 +67,5 @@ def parse_command(kind: str, author: str, arguments: Mapping[str, Any]) -> Order
     try:
         return KINDS[kind].model_validate({"kind": kind, "author": author, "arguments": arguments})
     except ValidationError as error:
-        wrong = [f"{'.'.join(map(str, part['loc']))}: {part['msg']}" for part in error.errors()]
-        raise UsageError("; ".join(wrong)) from error
+        problems = [f"{'.'.join(map(str, part['loc']))}: {part['msg']}" for part in error.errors()]
+        raise UsageError("; ".join(problems)) from error

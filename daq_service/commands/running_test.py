@@ -1,4 +1,4 @@
-"""The test that orders act on: what is stored of any, and the one that the recorder runs."""
+"""The test that commands change: its stored rows, and the running one of the recorder."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
-from daq_service.alarms.states import Change, Moment, as_it_stands
+from daq_service.alarms.states import Change, Moment, without_expired_shelf
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.settings.tree import Settings
@@ -18,38 +18,38 @@ AlarmKey = tuple[str | None, str]
 Alarms = Mapping[AlarmKey, AlarmRow]
 
 
-Awaited = Callable[[], str | None]
-"""Returns an instrument's answer, None while there is none; a refusal is a ValueError."""
+PendingAnswer = Callable[[], str | None]
+"""Function that returns an instrument's answer, None while there is none; a rejection raises ValueError."""
 
 
 class SupplySwitch(Protocol):
-    """Switches the corrosion drive without waiting for it; a refusal is a ValueError."""
+    """Switch of the supply that does not wait for it; a rejection raises ValueError."""
 
     def supply_on(
         self, author: str, hour: float, *, voltage_v: float | None, current_limit_a: float | None
-    ) -> Awaited:
-        """Switch it on; voltage and limit as configured where not given."""
+    ) -> PendingAnswer:
+        """Switch the supply on; voltage and limit as configured if not given."""
         ...
 
-    def supply_off(self, author: str, hour: float) -> Awaited:
-        """Switch it off."""
+    def supply_off(self, author: str, hour: float) -> PendingAnswer:
+        """Switch the supply off."""
         ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredTest:
-    """What an order may act on that changes rows only.
+    """A stored test, for commands that only change rows.
 
     Attributes
     ----------
     moment
-        Tells the moment of what is told or changed now.
+        Returns the time of a change.
     alarms
         The current alarms by position and kind.
     annotations
-        Reads them.
+        Reads the annotations.
     store
-        Stores a transaction and takes its alarms over.
+        Stores a transaction and updates the current alarms.
     """
 
     moment: Callable[[], Moment]
@@ -57,25 +57,25 @@ class StoredTest:
     annotations: Callable[[], Sequence[AnnotationRow]]
     store: Callable[[Transaction], None]
 
-    def tell(self, kind: str, payload: Mapping[str, Any]) -> None:
+    def store_event(self, kind: str, payload: Mapping[str, Any]) -> None:
         """Store an event of the service itself."""
         transaction = Transaction()
-        transaction.tell(kind, payload, self.moment())
+        transaction.add_event(kind, payload, self.moment())
         self.store(transaction)
 
     def annotate(self, row: AnnotationRow, kind: str) -> None:
-        """Store an annotation, or what becomes of one."""
+        """Store a new or changed annotation."""
         transaction = Transaction()
         transaction.annotate(row, kind, self.moment())
         self.store(transaction)
 
     def alarm(self, alarm_id: int) -> AlarmRow:
-        """Tell a current alarm, as it stands now."""
+        """Return a current alarm, without an expired shelf."""
         (row,) = (row for row in self.alarms.values() if row.id == alarm_id)
-        return as_it_stands(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
+        return without_expired_shelf(row, utc_ns=self.moment().utc_ns, wall_utc_ns=time.time_ns())
 
     def change_alarms(self, moment: Moment, *changes: Change) -> None:
-        """Store what became of alarms, together."""
+        """Store changes of alarms in one transaction."""
         transaction = Transaction()
         for change in changes:
             transaction.add_alarm(change, moment)
@@ -84,26 +84,26 @@ class StoredTest:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunningTest(StoredTest):
-    """What an order to the recorder may act on.
+    """A running test, for commands that the recorder executes.
 
     Attributes
     ----------
     reinstated
         Called with a position that may strike again.
     confirmation
-        Makes what asks for a confirmation set, of position, author and reason; a refusal is a ValueError.
+        Returns the request for a confirmation set, from position, author and reason; may raise ValueError.
     positions
         The solitary-wave transducers.
     supply
         None where the test has no supply.
     settings
-        What the test was begun with.
+        Settings of the test.
     next_set
-        Index of the first planned set of which no shot is struck yet.
+        Returns the index of the first scheduled set without a shot.
     baseline
-        Newest baseline of a position, None while its first one is being recorded.
+        Returns the newest baseline of a position, None while its first one is collected.
     renewed
-        Called with a position that is judged against another baseline from its next set on.
+        Called with a position that has another baseline from its next set on.
     """
 
     clock: Clock
@@ -120,7 +120,7 @@ class RunningTest(StoredTest):
     def change_baselines(
         self, moment: Moment, *steps: tuple[BaselineRow, str], ended: Iterable[Change] = ()
     ) -> None:
-        """Store what a person made of baselines, each with the kind of its event, and of alarms, together."""
+        """Store changed baselines, each with its kind of event, and changed alarms in one transaction."""
         transaction = Transaction()
         for change in ended:
             transaction.add_alarm(change, moment)
@@ -130,6 +130,6 @@ class RunningTest(StoredTest):
 
     @property
     def switch(self) -> SupplySwitch:
-        """The supply of a test that has one."""
+        """Return the switch of a test that has a supply."""
         assert self.supply is not None, "a test without one forbids the order"
         return self.supply

@@ -1,7 +1,7 @@
-"""``hold``, ``release``, ``retire``, ``reinstate``, ``supply``: orders without a browser.
+"""Send a command to the recorder from the command line, such as ``hold`` or ``supply``.
 
-A row of ``commands`` is written and the recorder's answer awaited; the recorder alone decides. An order
-that it has not begun in time expires: nobody carries it out later.
+It writes a row of ``commands`` and waits for the recorder's answer; only the recorder decides. A command that
+is not started in time expires and is not executed later.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ from daq_service.processes.data_folder import refuse_other_folders, settings_and
 from daq_service.processes.recorder_state import PROCESS_EVENTS, read_recorder_state
 
 START_WITHIN_S = 30.0
-"""A recorder looks several times a second, but not while it waits for a record or stores a set."""
+"""A recorder reads commands several times per second, but not while it waits for a record or stores a set."""
 CARRIED_OUT_WITHIN_S = 120.0
-"""An order that was begun is waited for: a supply that does not answer takes the time of many replies."""
+"""Time to wait for a started command: a supply that does not respond takes the time of many replies."""
 LOOK_EVERY_S = 0.1
 LONGEST_AUTHOR = 80
 
@@ -45,7 +45,7 @@ def send_command(
     wait: Callable[[float], None] = time.sleep,
     **arguments: str | float | None,
 ) -> int:
-    """Write an order, wait for its answer and print it.
+    """Send a command, wait for its answer and print it.
 
     The folder's configuration is not compared with CONFIG: a hold must not fail for a wrong file.
 
@@ -54,7 +54,7 @@ def send_command(
     author
         None: the name of this user.
     within_s, carried_out_within_s
-        Time to begin it, after which it expires, and time from there to the answer.
+        Time to start it, after which it expires, and time from the start to the answer.
     wait
         Waits a number of seconds between two looks for the answer; injected by tests.
     **arguments
@@ -63,7 +63,7 @@ def send_command(
     Raises
     ------
     BusyError
-        No recorder runs there (nothing is written), the order expired, or what became of it is not known.
+        No recorder runs there (nothing is written), the command expired, or its result is unknown.
     UsageError
         The arguments are none of this kind, the folder is none of ours, or the recorder refused, with its
         reason.
@@ -71,19 +71,19 @@ def send_command(
         No data there yet, or the catalogue cannot be written.
     """
     author = (author or user_name())[:LONGEST_AUTHOR]
-    given = {"note": note} | {name: value for name, value in arguments.items() if value is not None}
-    parse_command(kind, author, given)  # refused here, no recorder need look at it
+    all_arguments = {"note": note} | {name: value for name, value in arguments.items() if value is not None}
+    parse_command(kind, author, all_arguments)  # refused here, no recorder need look at it
     _, folder = settings_and_folder(config, data_dir)
     refuse_other_folders(folder)
     audit = partial(
-        Audit(folder).tell, who=author, role="claimed", source=TERMINAL, what=kind, arguments=given
+        Audit(folder).add, who=author, role="claimed", source=TERMINAL, what=kind, arguments=all_arguments
     )
     try:
         with open_catalogue(folder) as catalogue:
-            _check_somebody_listens(folder, catalogue)
-            order_id = catalogue.add_command(author, kind, given, within_s=within_s)
+            _require_recorder(folder, catalogue)
+            order_id = catalogue.add_command(author, kind, all_arguments, within_s=within_s)
             audit(result="accepted", command_id=order_id)
-            row = _answered(catalogue, order_id, carried_out_within_s, wait)
+            row = _wait_for_answer(catalogue, order_id, carried_out_within_s, wait)
     except BusyError as error:
         audit(result="refused", why=str(error))
         raise
@@ -104,9 +104,9 @@ def send_command(
     return EXIT_OK
 
 
-def _check_somebody_listens(folder: Path, catalogue: Catalogue) -> None:
-    told = catalogue.last_service_event(*PROCESS_EVENTS)
-    recorder = read_recorder_state(folder, [told.kind] if told else [])
+def _require_recorder(folder: Path, catalogue: Catalogue) -> None:
+    event = catalogue.last_service_event(*PROCESS_EVENTS)
+    recorder = read_recorder_state(folder, [event.kind] if event else [])
     if recorder.status == "running" and not recorder.listens:
         raise BusyError(
             f"the recorder of {folder} is {recorder.description.removeprefix('running, ')}: nothing "
@@ -119,26 +119,26 @@ def _check_somebody_listens(folder: Path, catalogue: Catalogue) -> None:
         )
 
 
-def _answered(
+def _wait_for_answer(
     catalogue: Catalogue, order_id: int, carried_out_within_s: float, wait: Callable[[float], None]
 ) -> CommandRow:
-    """Row of the order once it is answered or has expired, or as it stands when the time is over."""
-    begun_s: float | None = None
+    """Wait for the answer to a command and return its row; after the time limit, its current row."""
+    started_s: float | None = None
     while True:
-        found = command_state(catalogue, order_id)
-        assert found is not None, "it was just written"
-        row, _ = found
-        if row.state == "started" and begun_s is None:
-            begun_s = time.monotonic()
+        command = command_state(catalogue, order_id)
+        assert command is not None, "it was just written"
+        row, _ = command
+        if row.state == "started" and started_s is None:
+            started_s = time.monotonic()
         if row.state not in ("pending", "started"):
             return row
-        if begun_s is not None and time.monotonic() >= begun_s + carried_out_within_s:
+        if started_s is not None and time.monotonic() >= started_s + carried_out_within_s:
             return row
         wait(LOOK_EVERY_S)
 
 
 def user_name() -> str:
-    """Return the name of whoever sits at this computer, as its system knows it."""
+    """Return the user name of the operating system."""
     try:
         return getpass.getuser()
     except (OSError, KeyError, ImportError):

@@ -1,4 +1,4 @@
-"""Orders that shelve alarms, or take them out of service, and back."""
+"""Commands that shelve alarms or take them out of service, and end that."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class ShelfArguments(OutOfServiceArguments):
 
 class _AlarmOrder(DeskOrder):
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        """Carry an alarm on; ValueError where its state does not allow that."""
+        """Return the changed alarm; raise ValueError if its state does not allow the change."""
         raise NotImplementedError
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
@@ -59,7 +59,7 @@ class _AlarmOrder(DeskOrder):
         return None
 
     def carry_out_stored(self, test: StoredTest) -> str:
-        """Carry the alarm on."""
+        """Change the suppression of the alarm and return the result."""
         moment = test.moment()
         test.change_alarms(moment, self._change(test.alarm(self.arguments.alarm_id), moment))
         return self.kind.replace("_", " ")
@@ -72,8 +72,10 @@ class ShelveAlarm(_AlarmOrder):
     arguments: ShelfArguments
 
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        given = self.arguments
-        return states.shelve(row, self.author, given.reason.strip(), given.for_h, moment, time.time_ns())
+        arguments = self.arguments
+        return states.shelve(
+            row, self.author, arguments.reason.strip(), arguments.for_h, moment, time.time_ns()
+        )
 
 
 class UnshelveAlarm(_AlarmOrder):

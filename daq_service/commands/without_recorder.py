@@ -1,7 +1,7 @@
-"""Orders to a test that nobody records: carried out by the web service in one transaction.
+"""Commands to a test without a recorder: the web service executes them in one transaction.
 
-It holds the recorder's lock meanwhile. The order with its answer, what it changes and the event that tells of
-it are stored together: whoever is killed has done all of it or nothing.
+It holds the recorder's lock meanwhile. Command, answer, changes and event are stored together, so a killed
+process has stored all of them or none.
 """
 
 from __future__ import annotations
@@ -28,35 +28,35 @@ def carry_out_unattended(
     facts: Callable[[Catalogue], Facts],
     moment: Callable[[], Moment],
 ) -> int:
-    """Carry an order out in the recorder's place, and return its id.
+    """Execute a command in place of the recorder and return its id.
 
     Parameters
     ----------
     facts, moment
-        Asked once nobody else may change the test.
+        Called after the lock is held.
 
     Raises
     ------
     BusyError
-        A recorder has come meanwhile: give it the order. Nothing was done.
+        A recorder has started meanwhile: send it the command. Nothing was changed.
     OrderRefusedError
-        It cannot be carried out. Nothing was done.
+        It cannot be executed. Nothing was changed.
     StorageError
-        The folder cannot be written, or its catalogue is damaged. Nothing was done.
+        The folder cannot be written, or its catalogue is corrupt. Nothing was changed.
     """
     with own_data_folder(folder), open_for_one_command(folder) as catalogue:
         history = HistoryFollower(folder, catalogue)
         history.begin()
         order.refuse_forbidden(facts(catalogue))
-        done: list[Transaction] = []
+        transactions: list[Transaction] = []
         test = StoredTest(
             moment=moment,
             alarms={(row.position, row.kind): row for row in catalogue.rows(AlarmRow)},
             annotations=lambda: catalogue.rows(AnnotationRow),
-            store=done.append,
+            store=transactions.append,
         )
         result = order.carry_out_stored(test)
-        (transaction,) = done
+        (transaction,) = transactions
         now_ns = time.time_ns()
         transaction.order = CommandRow(
             id=0,

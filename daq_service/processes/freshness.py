@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from daq_service.alarms.states import as_it_stands
+from daq_service.alarms.states import without_expired_shelf
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, EventRow
@@ -63,7 +63,7 @@ class Freshness:
 
     def standing(self, row: AlarmRow) -> AlarmRow:
         """Return an alarm in its present state: an expired shelf has ended, also without a recorder."""
-        return as_it_stands(row, utc_ns=self.now_utc_ns, wall_utc_ns=time.time_ns())
+        return without_expired_shelf(row, utc_ns=self.now_utc_ns, wall_utc_ns=time.time_ns())
 
     def standing_word(self, last: LatestRows) -> LatestRows:
         """Return the newest values of a position with its alarms in their present state."""

@@ -15,14 +15,14 @@ from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, retir
 from daq_service.assessment.confirmation import (
     CONFIRMATION_ASKED,
     Confirmation,
-    Confirmed,
-    asked_by,
-    asked_so_far,
-    confirmation_of,
-    confirmed,
-    longest_ns,
-    next_number,
-    why_not,
+    ConfirmationResult,
+    confirmation_from_payload,
+    longest_set_ns,
+    newest_confirmation,
+    next_unscheduled_number,
+    read_confirmations,
+    rejection_reason,
+    summarize_confirmation,
 )
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
@@ -49,25 +49,25 @@ class Confirmations:
     def __init__(self, settings: Settings, catalogue: RecorderCatalogue) -> None:
         self._rules = settings.alarms
         self._hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
-        self.set_ns = longest_ns(
+        self.set_ns = longest_set_ns(
             settings.schedule, settings.quality.restrikes_per_set, settings.rig.read_timeout_s
         )
         self.asked: dict[int, Confirmation] = {}
         self.waiting: dict[int, Confirmation] = {}
-        self._last_results: dict[str, Confirmed] = {}
-        for one in asked_so_far(catalogue):
+        self._last_results: dict[str, ConfirmationResult] = {}
+        for one in read_confirmations(catalogue):
             self.asked[one.due.set_index] = self.waiting[one.due.set_index] = one
         for index in catalogue.committed_sets(self.waiting) if self.waiting else ():
             del self.waiting[index]
         for position in {one.due.position for one in self.asked.values()} - {None}:
-            last = confirmation_of(catalogue, str(position))
+            last = newest_confirmation(catalogue, str(position))
             if last is not None:
                 self._last_results[str(position)] = last
 
     def take_event(self, event: EventRow) -> None:
         """Take in what was asked for, once that is stored; other events say nothing of it."""
         if event.kind == CONFIRMATION_ASKED and event.position is not None:
-            one = asked_by(event.position, event.payload)
+            one = confirmation_from_payload(event.position, event.payload)
             self.asked[one.due.set_index] = self.waiting[one.due.set_index] = one
 
     def take_rows(self, stored: Transaction) -> None:
@@ -76,7 +76,7 @@ class Confirmations:
             if row.purpose == "confirmation":
                 self.waiting.pop(row.set_index, None)
                 assessment = next((one for one in stored.assessments if one.set_index == row.set_index), None)
-                self._last_results[row.position] = confirmed(row, assessment)
+                self._last_results[row.position] = summarize_confirmation(row, assessment)
 
     def room_ns(self, planned: DueSet, utc_ns: int) -> float:
         """Time that is left until the planned set after one."""
@@ -98,12 +98,12 @@ class Confirmations:
         if retired_positions(own) or any(row.suppressed == "out_of_service" for row in own):
             return
         at_h = planned.due_h + (moment.utc_ns - planned.due_utc_ns) / NS_PER_H
-        if not why_not(
+        if not rejection_reason(
             position,
             self.asked.values(),
             at_h=at_h,
-            most_a_day=self._rules.confirmation_sets_a_day,
-            room_ns=self.room_ns(planned, moment.utc_ns),
+            maximum_per_day=self._rules.confirmation_sets_a_day,
+            available_ns=self.room_ns(planned, moment.utc_ns),
             set_ns=self.set_ns,
         ):
             self.add(reason, planned, position, moment, transaction)
@@ -119,16 +119,16 @@ class Confirmations:
     ) -> Confirmation | None:
         """Add the event that asks for a set after a planned one; None: there are too many already."""
         requested = [
-            asked_by(str(event.position), event.payload)
+            confirmation_from_payload(str(event.position), event.payload)
             for event in transaction.events
             if event.kind == CONFIRMATION_ASKED
         ]
-        number = next_number([*self.asked.values(), *requested], planned.set_index)
+        number = next_unscheduled_number([*self.asked.values(), *requested], planned.set_index)
         if number is None:
             return None
         due = unscheduled_set(number, planned, moment.utc_ns, position)
-        one = Confirmation(due=due, because=reason, author=author)
-        transaction.tell(CONFIRMATION_ASKED, one.payload(), moment, position=position)
+        one = Confirmation(due=due, reason=reason, author=author)
+        transaction.add_event(CONFIRMATION_ASKED, one.payload(), moment, position=position)
         return one
 
     def proof(self, condition: Condition, planned_set: int) -> dict[str, Any]:

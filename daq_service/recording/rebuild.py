@@ -14,7 +14,7 @@ from pathlib import Path
 from daq_service.acquisition.taken_set import features_of
 from daq_service.archive import FolderSetReader
 from daq_service.assessment.results_in_file import results_in
-from daq_service.background.tiles import tiles_again
+from daq_service.background.tiles import rebuild_tiles
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.corruption import refuse_corruption
@@ -172,7 +172,7 @@ def _update_copies(folder: Path, progress: Progress) -> list[str]:
         keep_experiment(folder, experiment)
         HistoryFollower(folder, catalogue).begin()
         results = partial(results_in, catalogue)
-        return tiles_again(
+        return rebuild_tiles(
             folder, experiment_identity(experiment), catalogue.files_but_of(()), results, progress
         )
 

@@ -28,7 +28,7 @@ from daq_service.acquisition.taken_set import (
 from daq_service.alarms.clock_trouble import doubt_condition
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, CorruptArchiveError, OpenSet, PositionRecord, SetRecord
-from daq_service.assessment.confirmation import no_room
+from daq_service.assessment.confirmation import overlap_reason
 from daq_service.assessment.transaction import Transaction
 from daq_service.background.live_figure import LiveFigure
 from daq_service.background.write_retry_queue import PASSING
@@ -334,7 +334,7 @@ class Recorder:
         if now_ns > due.due_utc_ns + NS_PER_H:
             return self._persistence.hindered(due.due_utc_ns) or OVERSLEPT
         beside = self._set_assessor.confirmations
-        return no_room(beside.room_ns(planned, now_ns), beside.set_ns)
+        return overlap_reason(beside.room_ns(planned, now_ns), beside.set_ns)
 
     def _request_confirmation(self, position: str, author: str, note: str) -> Transaction:
         """Ask for a set beside the plan by a person's order; it is taken once the line is free.
@@ -455,7 +455,9 @@ class Recorder:
         measurements = take_set(
             self._rig,
             set_plan,
-            begun=taken.begun(self._settings.names_of(SOLITARY_WAVE)) if taken.begun(()).tried else None,
+            progress=taken.progress(self._settings.names_of(SOLITARY_WAVE))
+            if taken.progress(()).tried
+            else None,
             first_sequence=self._next_sequence,
             boot_id=self._boot_id,
             idle=self._idle_in_a_set,
@@ -505,7 +507,7 @@ class Recorder:
             transaction = self._set_assessor.assessed(due, record, stored.file, taken.features)
             if machine is not None and due.position is None:
                 moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
-                transaction.tell(MACHINE_READ, machine, moment, topic="machine")
+                transaction.add_event(MACHINE_READ, machine, moment, topic="machine")
             return transaction
 
         n_bytes = sum(item.waveform.counts.nbytes for item in record.records)

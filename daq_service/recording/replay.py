@@ -22,7 +22,7 @@ from daq_service.alarms.states import RETIRING
 from daq_service.archive import ArchiveError, CorruptArchiveError, SetReader, SetRecord, SetReference
 from daq_service.assessment.baseline_lifecycle import STEPS
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED
-from daq_service.assessment.results_in_file import differing, results_of
+from daq_service.assessment.results_in_file import find_differences, results_of
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import (
@@ -252,7 +252,7 @@ class _Replay:
         transaction = self._set_assessor.assessed(due, record, reference, features, sha256=sha256)
         if record.results and not damage:
             again = results_of(transaction.features, transaction.thickness, transaction.shots)
-            found = differing(record.results, again)
+            found = find_differences(record.results, again)
             self._result.differing += [f"set {set_index}, its file: {difference}" for difference in found]
         self._add_environment(transaction, record)
         computed = list(transaction.events)

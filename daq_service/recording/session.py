@@ -20,7 +20,7 @@ from daq_service.archive.waterfall.cells import anchors_of
 from daq_service.assessment.results_in_file import results_in
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
-from daq_service.background.tiles import TileMaker, tile_record
+from daq_service.background.tiles import TileMaker, add_record_to_tiles
 from daq_service.background.verification import IdleVerification
 from daq_service.background.write_retry_queue import PASSING
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
@@ -176,7 +176,9 @@ def record(
             return disk.space.level in ("ample", "warn")
 
         def tiles(set_index: int, results: Results) -> Callable[[SetRecord], str] | None:
-            return partial(tile_record, folder, experiment, anchors_of(results)) if has_room() else None
+            return (
+                partial(add_record_to_tiles, folder, experiment, anchors_of(results)) if has_room() else None
+            )
 
         finalizer = SetFinalizer(
             folder,

@@ -10,21 +10,21 @@ from dataclasses import asdict, replace
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
-from daq_service.alarms.delays import DELAY_EVENT, followed
+from daq_service.alarms.delays import DELAY_EVENT, apply_delays
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
 from daq_service.alarms.states import (
     ALARMS_OF_CHANGE,
     Condition,
     Moment,
-    expired,
-    proven_by,
+    add_evidence,
+    end_expired_shelf,
     retired_positions,
     update,
 )
 from daq_service.archive import SetReader, SetRecord
 from daq_service.assessment.assessor import Assessor, PositionResult
-from daq_service.assessment.confirmation import confirmed, no_room
+from daq_service.assessment.confirmation import overlap_reason, summarize_confirmation
 from daq_service.assessment.methods import METHODS
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
@@ -102,7 +102,7 @@ class SetAssessor:
 
     def passed(self, row: SetRow) -> Sequence[Condition]:
         """Take in the row of a set that gave not one record, as it was stored; what it says of alarms."""
-        position_result = self._assessor(row.position).nothing_taken(
+        position_result = self._assessor(row.position).assess_empty_set(
             DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
             row.n_missed - row.n_restrikes,
         )
@@ -209,11 +209,11 @@ class SetAssessor:
     def _add_confirmation(self, position: str, transaction: Transaction, moment: Moment) -> None:
         """Let the alarm of a change that stands at a position say what its confirmation set says."""
         assessment = transaction.assessments[0] if transaction.assessments else None
-        told = asdict(confirmed(transaction.sets[0], assessment))
+        told = asdict(summarize_confirmation(transaction.sets[0], assessment))
         for kind in ALARMS_OF_CHANGE:
             row = self.alarms.get((position, kind))
             if row is not None and row.state != "normal":
-                transaction.add_alarm(proven_by(row, {"confirmation": told}, moment), moment)
+                transaction.add_alarm(add_evidence(row, {"confirmation": told}, moment), moment)
 
     def order_confirmation(
         self, planned: DueSet, position: str, author: str, note: str, moment: Moment
@@ -227,7 +227,9 @@ class SetAssessor:
         """
         if unjudged := self._assessor(position).not_assessed_reason:
             raise ValueError(f"{position} has nothing to compare a set with: {unjudged}")
-        too_late = no_room(self.confirmations.room_ns(planned, moment.utc_ns), self.confirmations.set_ns)
+        too_late = overlap_reason(
+            self.confirmations.room_ns(planned, moment.utc_ns), self.confirmations.set_ns
+        )
         if too_late:
             raise ValueError(f"{too_late}: that one says the same")
         transaction = Transaction()
@@ -258,7 +260,7 @@ class SetAssessor:
     def expire_shelves(self, moment: Moment) -> None:
         """Tell again of alarms whose shelves have expired, on the test's clock or in real time."""
         shelved = [row for row in self.alarms.values() if row.suppressed == "shelved"]
-        changes = [change for row in shelved if (change := expired(row, moment, time.time_ns()))]
+        changes = [change for row in shelved if (change := end_expired_shelf(row, moment, time.time_ns()))]
         if changes:
             transaction = Transaction()
             for change in changes:
@@ -268,10 +270,10 @@ class SetAssessor:
     def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
         key = (condition.position, condition.kind)
         row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
-        to_follow, now_since_ns = followed(row, condition, since_ns, moment, self._settings.alarms.kinds)
+        to_follow, now_since_ns = apply_delays(row, condition, since_ns, moment, self._settings.alarms.kinds)
         if now_since_ns != since_ns:
             delay = {"alarm_kind": condition.kind, "since_utc_ns": now_since_ns}
-            transaction.tell(DELAY_EVENT, delay, moment, position=condition.position, topic="alarms")
+            transaction.add_event(DELAY_EVENT, delay, moment, position=condition.position, topic="alarms")
         change = None if to_follow is None else update(row, to_follow, moment)
         if change is not None:
             if self.drive is not None and condition.kind == "hole" and change.event_kind == "alarm_raised":
@@ -357,7 +359,7 @@ class SetAssessor:
             restrikes = sum(key.attempt > 0 for key in missed)
             position_result = PositionResult()
             if tried is not None and not gone and due.position is None:
-                position_result = self._assessor(position).nothing_taken(due, len(missed) - restrikes)
+                position_result = self._assessor(position).assess_empty_set(due, len(missed) - restrikes)
             row = replace(
                 self.without_records(
                     due, position, retired=gone, cause=retired.get(position) or causes[position]

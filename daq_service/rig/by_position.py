@@ -20,16 +20,16 @@ class Strikers:
         self._strikers, self._asking = strikers, asking
 
     def strike(self, key: ShotKey) -> None:
-        """Let the position's own striker strike, or ask for it."""
+        """Strike with the striker of the position, or ask a person to strike."""
         striker = _of(self._strikers, key, "striker")
         self._asking.about(key)
         striker.strike(key)
 
     def make_safe(self) -> None:
-        """De-energise all of them: one that fails keeps no other from it, and its error is raised then."""
+        """De-energise all strikers, even if one fails; its error is raised afterwards."""
         with ExitStack() as every:
             every.callback(self._asking.ask, "")
-            for striker in _each(self._strikers):
+            for striker in _distinct(self._strikers):
                 every.callback(striker.make_safe)
 
 
@@ -41,7 +41,7 @@ class Digitizers:
         self._armed: ShotKey | None = None
 
     def arm(self, key: ShotKey) -> None:
-        """Arm the position's own digitizer."""
+        """Arm the digitizer of the position."""
         digitizer = _of(self._digitizers, key, "digitizer")
         if self._armed is not None:
             raise ConfigurationError(f"already armed for {self._armed}; read or disarm first")
@@ -49,7 +49,7 @@ class Digitizers:
         self._armed = key
 
     def read(self, timeout_s: float) -> Acquired:
-        """Read the armed one; what was asked of a person is over then."""
+        """Read the armed digitizer, and end the request to a person."""
         key, self._armed = self._armed, None
         if key is None:
             raise ConfigurationError("not armed; arm before the strike, then read")
@@ -59,10 +59,10 @@ class Digitizers:
             self._asking.ask("")
 
     def disarm(self) -> None:
-        """Disarm all of them."""
+        """Disarm all digitizers."""
         self._armed = None
         with ExitStack() as every:
-            for digitizer in _each(self._digitizers):
+            for digitizer in _distinct(self._digitizers):
                 every.callback(digitizer.disarm)
 
 
@@ -73,7 +73,7 @@ class PulseEchoUnits:
         self._units = units
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Let the position's own unit fire."""
+        """Acquire an echo with the unit of the position."""
         return _of(self._units, key, "pulse-echo unit").acquire(key, timeout_s)
 
 
@@ -86,6 +86,6 @@ def _of(instruments: Mapping[str, T], key: ShotKey, what: str) -> T:
     return instruments[key.position]
 
 
-def _each(instruments: Mapping[str, T]) -> list[T]:
-    """Give each instrument once."""
+def _distinct(instruments: Mapping[str, T]) -> list[T]:
+    """Return each instrument once."""
     return list({id(instrument): instrument for instrument in instruments.values()}.values())

@@ -82,7 +82,7 @@ def running_rig(rig: str, overrides: Mapping[str, Any]) -> Iterator[DemoRig]:
             raise UsageError("--rig daqmx-grpc needs the package grpcio: pip install 'solimon[grpc]'")
         tables = _rig_tables(settings, transport, doubles.grpc, has_probe=has_probe)
         dropped = [] if has_probe else settings.names_of(PULSE_ECHO)
-        environment = client_environment(doubles.wire, *folders, environment=_searched(folders))
+        environment = client_environment(doubles.wire, *folders, environment=_library_path(folders))
         yield DemoRig(
             settings=_on_rig(settings, tables, dropped),
             environment={**environment, CONTROL_VARIABLE: doubles.control.address},
@@ -90,8 +90,8 @@ def running_rig(rig: str, overrides: Mapping[str, Any]) -> Iterator[DemoRig]:
         )
 
 
-def _searched(folders: Sequence[Path]) -> dict[str, str]:
-    """Give what the library path is put in front of; nothing where no library is built."""
+def _library_path(folders: Sequence[Path]) -> dict[str, str]:
+    """Return the library path to which the folders are added; empty if no library is built."""
     before = os.environ.get("LD_LIBRARY_PATH")
     return {"LD_LIBRARY_PATH": before} if folders and before else {}
 
@@ -190,7 +190,7 @@ def _on_rig(settings: Settings, tables: Mapping[str, Any], dropped: Sequence[str
 
 
 def _library_folders() -> list[Path]:
-    """Folders of the built libraries: NI-DAQmx, and NI-SCOPE where its package is installed."""
+    """Build the libraries and return their folders: NI-DAQmx, and NI-SCOPE if its package is installed."""
     from simulator.doubles.transports.library import build_library, why_unavailable
 
     if reason := why_unavailable():

@@ -39,14 +39,14 @@ Announce = Callable[[ShotKey], None]
 
 
 Preparing = Callable[[str, bool], None]
-"""Told what takes long, once on a computer, and whether it begins (True) or is done."""
+"""Called with a slow one-time preparation, and whether it starts (True) or has ended."""
 
 
 @contextmanager
 def open_rig(
     settings: Settings, clock: Clock, epoch_utc_ns: int, *, preparing: Preparing = lambda what, begins: None
 ) -> Iterator[Rig]:
-    """Instruments of the configured kinds; safe again when the context ends.
+    """Open the instruments of the configured kinds; they are made safe when the context ends.
 
     Parameters
     ----------
@@ -77,16 +77,16 @@ def open_rig(
             opened.append(stack.enter_context(item.kind.open(item.parameters, opening)))
             _require_roles(item, opened[-1])
             clock = opened[-1].clock or clock
-        rig = _composed(settings.rig.kind, instruments, opened, clock, asking)
+        rig = _compose_rig(settings.rig.kind, instruments, opened, clock, asking)
         if settings.rig.on_doubles:
-            rig = stack.enter_context(_announced(rig, settings, epoch_utc_ns))
+            rig = stack.enter_context(_announce_shots(rig, settings, epoch_utc_ns))
         # Entered last, left first: coils and drive are off before any connection is closed.
         yield stack.enter_context(rig)
 
 
 @contextmanager
 def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
-    """Drive of the corrosion; nothing is switched here."""
+    """Open the supply of the corrosion, without switching it."""
     (item,) = (item for item in configured(settings) if "supply" in item.serves)
     with item.kind.open(item.parameters, opening_of(item, settings, clock)) as opened:
         _require_roles(item, opened)
@@ -94,14 +94,14 @@ def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
         yield opened.supply
 
 
-def opening_of(item: Instrument, settings: Settings, clock: Clock, **told: Any) -> Opening:
-    """Make what an instrument is told; `told` are further fields of `Opening`."""
+def opening_of(item: Instrument, settings: Settings, clock: Clock, **fields: Any) -> Opening:
+    """Return the `Opening` of an instrument; `fields` are further fields of it."""
     return Opening(
         clock=clock,
         serves=item.serves,
         boot_id=boot_id(),
         shot_interval_s=settings.schedule.shot_interval_s,
-        **{"experiment": settings.model_dump(mode="json"), **told},
+        **{"experiment": settings.model_dump(mode="json"), **fields},
     )
 
 
@@ -114,7 +114,7 @@ def _require_roles(item: Instrument, opened: Opened) -> None:
             )
 
 
-def _composed(
+def _compose_rig(
     kind: str,
     instruments: Sequence[Instrument],
     opened: Sequence[Opened],
@@ -130,7 +130,7 @@ def _composed(
         return next((getattr(its, role) for item, its in pairs if role in item.serves), None)
 
     mixed = kind == "mixed"
-    calibrating, interval_h = _calibrated(opened)
+    calibrating, interval_h = _self_calibrating(opened)
     return Rig(
         kind=kind,
         clock=clock,
@@ -147,22 +147,26 @@ def _composed(
     )
 
 
-def _calibrated(opened: Sequence[Opened]) -> tuple[list[SelfCalibrating], float]:
-    """Instruments that calibrate themselves, and how often: as often as the most demanding one asks."""
-    able = [(its.self_calibrating, its.self_calibration_interval_h) for its in opened]
-    asked = [interval_h for what, interval_h in able if what is not None and interval_h is not None]
-    interval_h = min(filter(None, asked), default=0.0 if asked else SELF_CALIBRATION_INTERVAL_H)
-    return [what for what, own_h in able if what is not None and own_h != 0.0], interval_h
+def _self_calibrating(opened: Sequence[Opened]) -> tuple[list[SelfCalibrating], float]:
+    """Return the self-calibrating instruments and their shortest required interval in h."""
+    candidates = [(its.self_calibrating, its.self_calibration_interval_h) for its in opened]
+    intervals_h = [
+        interval_h for what, interval_h in candidates if what is not None and interval_h is not None
+    ]
+    interval_h = min(filter(None, intervals_h), default=0.0 if intervals_h else SELF_CALIBRATION_INTERVAL_H)
+    return [what for what, own_h in candidates if what is not None and own_h != 0.0], interval_h
 
 
 def _identity(pairs: Sequence[tuple[Instrument, Opened]], *, named: bool) -> dict[str, str]:
-    """Collect who the instruments are; in a mixed rig by the name that each has there."""
-    told: dict[str, str] = {}
-    for item, its in pairs:
+    """Collect the identities of the instruments; in a mixed rig with their names as prefixes."""
+    identity: dict[str, str] = {}
+    for item, instrument in pairs:
         if named:
-            told[item.name] = f"{item.offer.name}, {item.offer.distributions[0]}"
-        told |= {f"{item.name}.{key}" if named else key: value for key, value in its.identity.items()}
-    return told
+            identity[item.name] = f"{item.offer.name}, {item.offer.distributions[0]}"
+        identity |= {
+            f"{item.name}.{key}" if named else key: value for key, value in instrument.identity.items()
+        }
+    return identity
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,18 +176,18 @@ class _Together:
     parts: list[SelfCalibrating]
 
     def self_calibrate(self) -> Mapping[str, str]:
-        told: dict[str, str] = {}
+        results: dict[str, str] = {}
         for part in self.parts:
-            told |= part.self_calibrate()
-        return told
+            results |= part.self_calibrate()
+        return results
 
 
 # Doubles: the vendor's libraries with the twin below them ------------------------------------------
 
 
 @contextmanager
-def _announced(rig: Rig, settings: Settings, epoch_utc_ns: int) -> Iterator[Rig]:
-    """Tell the doubles before each shot which one comes and at what hour: they know no experiment."""
+def _announce_shots(rig: Rig, settings: Settings, epoch_utc_ns: int) -> Iterator[Rig]:
+    """Announce each shot and its hour to the doubles, because they know no experiment."""
     from simulator.doubles.transports.control import DoublesControl
     from simulator.experiment.corrosion import held_hour_h
 

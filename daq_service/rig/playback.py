@@ -40,7 +40,7 @@ class Recorded(ShotSource, Protocol):
     """A source that knows when its shots were recorded."""
 
     def next_moment(self, after_utc_ns: int) -> int | None:
-        """First recorded time after a time, ns of UTC; None after the last one."""
+        """Return the first recorded time after a time, ns of UTC; None after the last one."""
         ...
 
 
@@ -79,11 +79,11 @@ class ArchivedShots:
 
     @property
     def positions(self) -> Mapping[str, str]:
-        """Recorded positions and their method."""
+        """Return the recorded positions and their method."""
         return self._shots.positions
 
     def find(self, key: ShotKey) -> Acquired | None:
-        """Record of a shot, None if it was not recorded.
+        """Return the record of a shot, None if it was not recorded.
 
         Raises
         ------
@@ -101,12 +101,12 @@ class ArchivedShots:
         return found
 
     def tried(self, key: ShotKey) -> bool:
-        """Whether it was recorded, or missed; what is left of a damaged set says only what was recorded."""
+        """Return whether a shot was recorded or missed; of a corrupt set only recorded shots are known."""
         recorded = self._shots.tried(key)
         return recorded or (key in self._missed and key.set_index not in self._damaged)
 
     def next_moment(self, after_utc_ns: int) -> int | None:
-        """First recorded time after a time: the start of a set, or the stamp of a record."""
+        """Return the first recorded time after a time: the start of a set, or the stamp of a record."""
         # A set may last into the next one's time, but not into that of the one after it.
         first = max(0, bisect_right(self._due_utc_ns, after_utc_ns) - 2)
         for set_index in islice(self._files, first, None):
@@ -135,7 +135,7 @@ class ArchivedShots:
         if file is None:
             return ()
         try:
-            record = self._whole_or_what_is_left(set_index, file)
+            record = self._complete_or_remaining(set_index, file)
         except CorruptArchiveError as error:
             self._damaged[set_index] = str(error)
             self._moments[set_index] = []
@@ -148,7 +148,7 @@ class ArchivedShots:
         )
         return record.records
 
-    def _whole_or_what_is_left(self, set_index: int, file: SetReference) -> SetRecord:
+    def _complete_or_remaining(self, set_index: int, file: SetReference) -> SetRecord:
         try:
             return self._archive.read_set(file)
         except CorruptArchiveError:
@@ -159,7 +159,7 @@ class ArchivedShots:
 
 
 def _positions(record: SetRecord) -> dict[str, str]:
-    """Positions of a test and their method: those of its configuration, retired or not, and of the set."""
+    """Return positions and methods of a test: those of its configuration, retired or not, and of the set."""
     configured = record.provenance.get("configuration", {}).get("positions", {})
     return {
         **{name: place["method"] for name, place in configured.items()},
@@ -206,7 +206,7 @@ def playback_instruments(
     recorded_times: bool,
     shot_interval_s: float,
 ) -> Opened:
-    """Instruments that play back a recording, and its clock.
+    """Build the instruments that play back a recording, and its clock.
 
     Parameters
     ----------

@@ -44,7 +44,7 @@ BUILDING = "building the twin's plates, which are kept for the next time"
 
 
 def transducers_of(settings: Settings) -> dict[str, Transducer]:
-    """Chain and physics of each solitary-wave position.
+    """Build chain and physics of each solitary-wave position.
 
     Raises
     ------
@@ -69,26 +69,26 @@ def transducers_of(settings: Settings) -> dict[str, Transducer]:
     }
 
 
-def twin_executor(settings: Settings, told: Connection | None = None) -> ProcessPoolExecutor:
-    """One worker process that computes `records` of these settings; its owner shuts it down.
+def twin_executor(settings: Settings, sender: Connection | None = None) -> ProcessPoolExecutor:
+    """Start a worker process that computes `records` of these settings; its owner shuts it down.
 
     Parameters
     ----------
-    told
-        Where it says that it begins to compile (True) and that it has (False).
+    sender
+        Pipe to which it sends the start (True) and the end (False) of a compilation.
     """
-    return one_worker(_prepare, settings.model_dump_json(), told)
+    return one_worker(_prepare, settings.model_dump_json(), sender)
 
 
 @contextmanager
 def twin_process(settings: Settings, compiling: Callable[[bool], None]) -> Iterator[ProcessPoolExecutor]:
-    """Give that process; a thread here calls ``compiling`` with what it says of its compilations."""
-    hear, told = multiprocessing.get_context("spawn").Pipe(duplex=False)
-    with hear:
-        with told:  # once it has started, it alone holds this end: the pipe ends with it
-            executor = twin_executor(settings, told)
+    """Run the worker process; a thread calls ``compiling`` at start and end of its compilations."""
+    receiver, sender = multiprocessing.get_context("spawn").Pipe(duplex=False)
+    with receiver:
+        with sender:  # once it has started, it alone holds this end: the pipe ends with it
+            executor = twin_executor(settings, sender)
         listening = threading.Thread(
-            target=_pass_on, args=(hear, compiling), name="news-of-the-worker", daemon=True
+            target=_forward_messages, args=(receiver, compiling), name="news-of-the-worker", daemon=True
         )
         listening.start()
         try:
@@ -98,13 +98,13 @@ def twin_process(settings: Settings, compiling: Callable[[bool], None]) -> Itera
             listening.join()
 
 
-def _pass_on(hear: Connection, compiling: Callable[[bool], None]) -> None:
-    begun = False
+def _forward_messages(receiver: Connection, compiling: Callable[[bool], None]) -> None:
+    is_compiling = False
     with suppress(EOFError, OSError):  # the worker has ended, or was killed in the midst of a word
         while True:
-            begun = hear.recv()
-            compiling(begun)
-    if begun:
+            is_compiling = receiver.recv()
+            compiling(is_compiling)
+    if is_compiling:
         compiling(False)
 
 
@@ -127,15 +127,15 @@ def _specimen(settings_json: str) -> Specimen:
     )
 
 
-def _prepare(settings_json: str, told: Connection | None) -> None:
+def _prepare(settings_json: str, sender: Connection | None) -> None:
     """Build the specimen before the first strike."""
     leave_with_parent()
-    if told is not None:
+    if sender is not None:
         from simulator.numerics.machine_code import compilation_reported
 
-        telling = ExitStack()
-        telling.enter_context(compilation_reported(told.send))
-        atexit.register(telling.close)  # kept as long as the process
+        reporting = ExitStack()
+        reporting.enter_context(compilation_reported(sender.send))
+        atexit.register(reporting.close)  # kept as long as the process
     _specimen(settings_json)
 
 
@@ -161,7 +161,7 @@ def _open(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]
     )
     settings = settings.model_copy(update={"positions": served})
     compiling = partial(opening.preparing, COMPILING)
-    own_process = _deserves_a_process(settings, len(sets))
+    own_process = _needs_own_process(settings, len(sets))
     with ExitStack() as stack:
         # One worker: the physics of the next shots runs while this one is stored and judged.
         executor: Executor = (
@@ -205,8 +205,8 @@ def _open(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]
         )
 
 
-def _deserves_a_process(settings: Settings, n_sets: int) -> bool:
-    """Whether nobody watches and the test is long: a process takes a second or two to start."""
+def _needs_own_process(settings: Settings, n_sets: int) -> bool:
+    """Return whether the test is unpaced and long, because a process needs a second or two to start."""
     unpaced = settings.clock.kind == "simulated" and settings.clock.pace_h_per_s is None
     strikes = n_sets * settings.schedule.shots_per_set * len(settings.names_of(SOLITARY_WAVE))
     return unpaced and strikes >= STRIKES_WORTH_A_PROCESS

@@ -32,7 +32,7 @@ class AlarmKindSettings(BaseModel):
     thickness the limit is the loss that raises the alarm."""
 
     def require_fits(self, kind: str) -> None:
-        """Check that alarms of this kind may be held back so.
+        """Check that alarms of this kind may have these delays and this deadband.
 
         Raises
         ------

@@ -38,46 +38,46 @@ def commented_toml(
 
 
 def switched_on(text: str) -> str:
-    """Switch on every table of a file that is switched off."""
+    """Uncomment every table of a file that is switched off."""
     return _SWITCHED_OFF.sub("", text)
 
 
 def _table(
-    values: Mapping[str, Any], path: KeyPath, switched_off: Collection[KeyPath], said: set[str]
+    values: Mapping[str, Any], path: KeyPath, switched_off: Collection[KeyPath], described: set[str]
 ) -> Iterator[str]:
-    def words_of(*name: str) -> str:
-        """Describe what is not described further up: transducers are all alike."""
-        words = describe((*path, *name))
-        new = words not in said
-        said.add(words)
-        return words if new else ""
+    def new_description(*name: str) -> str:
+        """Return the description of a key, empty if it appeared before."""
+        text = describe((*path, *name))
+        new = text not in described
+        described.add(text)
+        return text if new else ""
 
     tables = {name: value for name, value in values.items() if isinstance(value, Mapping) and value}
-    off = any(path[: len(table)] == table for table in switched_off)
+    is_off = any(path[: len(table)] == table for table in switched_off)
     keys = [name for name in values if name not in tables]
     if path and keys:
-        yield from ("", *_comment(words_of()))
-        yield f"{'#' * off}[{'.'.join(map(_key, path))}]"
+        yield from ("", *_comment(new_description()))
+        yield f"{'#' * is_off}[{'.'.join(map(_key, path))}]"
     for name in keys:
-        for line in _assignment(name, values[name], words_of(name)):
+        for line in _assignment(name, values[name], new_description(name)):
             # A description stays what it is: only what a reader of TOML would see is switched off.
-            yield line if line.lstrip().startswith("#") else f"{'#' * off}{line}"
+            yield line if line.lstrip().startswith("#") else f"{'#' * is_off}{line}"
     for name, value in tables.items():
-        yield from _table(value, (*path, name), switched_off, said)
+        yield from _table(value, (*path, name), switched_off, described)
 
 
-def _assignment(name: str, value: Any, words: str) -> Iterator[str]:
+def _assignment(name: str, value: Any, description: str) -> Iterator[str]:
     text = f"{_key(name)} = {_value(value)}"
     if len(text) > COMMENT_COLUMN - 2:
-        yield from (*_comment(words), text)
+        yield from (*_comment(description), text)
         return
-    first, *rest = _comment(words, WIDTH - COMMENT_COLUMN) or [""]
+    first, *rest = _comment(description, WIDTH - COMMENT_COLUMN) or [""]
     yield f"{text:<{COMMENT_COLUMN}}{first}".rstrip()
     yield from (f"{'':<{COMMENT_COLUMN}}{line}" for line in rest)
 
 
-def _comment(words: str, width: int = WIDTH) -> list[str]:
-    return [f"# {line}" for line in textwrap.wrap(words, width - 2, break_on_hyphens=False)]
+def _comment(text: str, width: int = WIDTH) -> list[str]:
+    return [f"# {line}" for line in textwrap.wrap(text, width - 2, break_on_hyphens=False)]
 
 
 def _key(name: str) -> str:

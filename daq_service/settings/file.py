@@ -73,24 +73,24 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, Any] | None = No
 def checked_settings(
     values: dict[str, Any], path: Path, *, overrides: Mapping[str, Any] | None = None
 ) -> Settings:
-    """Make settings of what a file holds, or will hold; errors as of `load_settings`."""
+    """Validate the values of a file and return the settings; errors as of `load_settings`."""
     _refuse_unknown_variables()
     if path.suffix != ".json":
         _refuse_placeholders(values, path)
     _resolve_recording(values, path)
-    _resolve_doors(values, path)
+    _resolve_files(values, path)
     try:
-        return with_defaults(Settings(**_laid_over(values, overrides or {})))
+        return with_defaults(Settings(**_merge(values, overrides or {})))
     except ValidationError as error:
         raise UsageError(_explain(error.errors(), known_keys(), path)) from error
     except ParametersError as error:
         raise UsageError(_explain(error.problems, error.keys, path)) from error
     except ConfigurationError as error:
-        raise UsageError(_refused(path, [str(error)])) from error
+        raise UsageError(_rejection(path, [str(error)])) from error
 
 
 def placeholders(values: Mapping[str, Any]) -> list[KeyPath]:
-    """Keys that nobody has filled in yet, but for those that the environment gives."""
+    """Return the keys with a placeholder, without those that the environment sets."""
     return [
         key
         for key, value in flattened(values).items()
@@ -108,7 +108,7 @@ def _refuse_placeholders(values: Mapping[str, Any], path: Path) -> None:
 
 
 def _resolve_recording(values: dict[str, Any], path: Path) -> None:
-    """Make the source of a playback absolute: relative ones count from the configuration file."""
+    """Make the source of a playback absolute, relative to the configuration file."""
     rig = values.get("rig")
     playback = rig.get("playback") if isinstance(rig, dict) else None
     if isinstance(playback, dict) and isinstance(playback.get("source"), str):
@@ -116,22 +116,24 @@ def _resolve_recording(values: dict[str, Any], path: Path) -> None:
         values["rig"] = {**values["rig"], "playback": {**playback, "source": source}}
 
 
-def _resolve_doors(values: dict[str, Any], path: Path) -> None:
-    """Make the files of the web service absolute in the same way."""
+def _resolve_files(values: dict[str, Any], path: Path) -> None:
+    """Make the files of web service and receivers absolute, relative to the configuration file."""
     web = values.get("web")
     if isinstance(web, dict):
-        values["web"] = _beside(path, web, WEB_FILES)
+        values["web"] = _with_absolute_files(path, web, WEB_FILES)
     notifications = values.get("notifications")
     receivers = notifications.get("receivers") if isinstance(notifications, dict) else None
     if isinstance(notifications, dict) and isinstance(receivers, dict):
         found = {
-            name: _beside(path, receiver, RECEIVER_FILES) if isinstance(receiver, dict) else receiver
+            name: _with_absolute_files(path, receiver, RECEIVER_FILES)
+            if isinstance(receiver, dict)
+            else receiver
             for name, receiver in receivers.items()
         }
         values["notifications"] = notifications | {"receivers": found}
 
 
-def _beside(path: Path, table: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+def _with_absolute_files(path: Path, table: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
     """Make the files that some keys name absolute."""
     files = {key: table[key] for key in keys if isinstance(table.get(key), str) and table[key]}
     return table | {key: str(path.absolute().parent / file) for key, file in files.items()}
@@ -151,18 +153,18 @@ def _refuse_unknown_variables() -> None:
                 )
 
 
-def _laid_over(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(values)
     for key, value in overrides.items():
         below = merged.get(key)
         merged[key] = (
-            _laid_over(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
+            _merge(below, value) if isinstance(below, dict) and isinstance(value, Mapping) else value
         )
     return merged
 
 
 def _explain(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: Path) -> str:
-    """Every refused value: file, key, value, bound, remedy."""
+    """Return a message with every rejected value: file, key, value, bound, remedy."""
     refused = {problem["loc"] for problem in problems}
     lines = []
     for problem in problems:
@@ -177,13 +179,13 @@ def _explain(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: P
         else:
             value = problem.get("input")
             # Of a receiver nothing is repeated: a secret may have been written where its place belongs.
-            told = problem["loc"][:2] != ("notifications", "receivers")
-            shown = f" (value: {value!r})" if told and isinstance(value, (str, int, float, bool)) else ""
+            may_show = problem["loc"][:2] != ("notifications", "receivers")
+            shown = f" (value: {value!r})" if may_show and isinstance(value, (str, int, float, bool)) else ""
             lines.append(f"{key}: {problem['msg'].removeprefix('Value error, ')}{shown}")
-    return _refused(path, lines)
+    return _rejection(path, lines)
 
 
-def _refused(path: Path, lines: Sequence[str]) -> str:
+def _rejection(path: Path, lines: Sequence[str]) -> str:
     shown_lines = "\n".join(f"  {line}" for line in dict.fromkeys(lines))
     return (
         f"{path} (with SOLIMON_... from the environment) is refused:\n{shown_lines}\n"

@@ -28,7 +28,7 @@ _FORMULA = re.compile(r"[\t\r\n]|\s*[=+\-@\uff1d\uff0b\uff0d\uff20]")
 
 
 def require_written(text: str, *, message: str) -> str:
-    """Return a text in which something can be seen.
+    """Check that a text has visible characters and return it.
 
     Raises
     ------

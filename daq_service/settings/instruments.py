@@ -74,13 +74,13 @@ def instruments_of(settings: Settings) -> list[Instrument]:
         A kind refuses its parameters.
     """
     rig = settings.rig
-    found = []
+    instruments = []
     if rig.kind == "mixed":
         _require_roles(rig)
         for name, item in rig.instruments.items():
             table = f"rig.instruments.{name}"
-            found.append(_instrument(name, table, item.kind, item.parameters, rig.served_by(name)))
-            if not found[-1].serves:
+            instruments.append(_instrument(name, table, item.kind, item.parameters, rig.served_by(name)))
+            if not instruments[-1].serves:
                 raise ConfigurationError(
                     f"{table}: no position uses it; name {name!r} in [rig.positions], or take the table out"
                 )
@@ -90,20 +90,20 @@ def instruments_of(settings: Settings) -> list[Instrument]:
         of_probes: dict[Role, tuple[str, ...]] = {"pulse_echo": probes} if probes else {}
         if rig.kind == "daqmx":
             if rig.niscope is not None:
-                found.append(_instrument("niscope", "rig.niscope", "niscope", rig.niscope, of_probes))
+                instruments.append(_instrument("niscope", "rig.niscope", "niscope", rig.niscope, of_probes))
         else:
             wanted |= of_probes
         table = f"rig.{rig.kind}"
-        found.insert(0, _instrument(rig.kind, table, rig.kind, getattr(rig, rig.kind, None), wanted))
+        instruments.insert(0, _instrument(rig.kind, table, rig.kind, getattr(rig, rig.kind, None), wanted))
     for role, kind in TEXT.items():
         parameters = getattr(rig, role)
         if parameters is not None:
-            found.append(_instrument(role, f"rig.{role}", kind, parameters, {role: ()}))
-    return found
+            instruments.append(_instrument(role, f"rig.{role}", kind, parameters, {role: ()}))
+    return instruments
 
 
 def configured(settings: Settings) -> list[Instrument]:
-    """Give the instruments of a configuration, not opened.
+    """Return the instruments of a configuration, not opened.
 
     Raises
     ------
@@ -117,7 +117,7 @@ def configured(settings: Settings) -> list[Instrument]:
 
 
 def with_defaults(settings: Settings) -> Settings:
-    """Fill in what the kinds of a mixed rig have as defaults; raises as `instruments_of`."""
+    """Fill in the default parameters of a mixed rig's instruments; raises as `instruments_of`."""
     if settings.rig.kind != "mixed":
         return settings
     filled = {
@@ -129,7 +129,7 @@ def with_defaults(settings: Settings) -> Settings:
 
 
 def plain(instrument: Instrument) -> dict[str, Any]:
-    """Every parameter, ready for JSON."""
+    """Return all parameters of an instrument, ready for JSON."""
     adapter: TypeAdapter[Any] = TypeAdapter(instrument.kind.parameters)
     values: dict[str, Any] = adapter.dump_python(instrument.parameters, mode="json")
     return values
@@ -157,7 +157,7 @@ def _instrument(
 
 
 def _require_roles(rig: MixedRig) -> None:
-    """Refuse an instrument that cannot be what it is used as."""
+    """Raise an error if an instrument lacks a role that it is used for."""
     known = offers()
     for name, item in rig.instruments.items():
         offer = known.get(item.kind)  # one that is unknown is told with its parameters

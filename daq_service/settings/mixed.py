@@ -33,11 +33,11 @@ class InstrumentSettings(BaseModel):
 
     @property
     def parameters(self) -> dict[str, Any]:
-        """What its kind is told, as plain values."""
+        """Return the parameters of its kind, as plain values."""
         return self.model_dump(mode="json", exclude={"kind"})
 
     def measured(self) -> dict[str, Any]:
-        """Give what the data depend on: all but how the instrument is reached."""
+        """Return the parameters that affect the data: all but the address of the instrument."""
         try:
             kind, _ = find_kind(self.kind)
         except ConfigurationError:
@@ -59,7 +59,7 @@ class PlaceSettings(BaseModel):
 
     @property
     def names(self) -> set[str]:
-        """Instruments that serve this position."""
+        """Return the instruments that serve this position."""
         return {name for _, name in self if name}
 
 
@@ -93,7 +93,7 @@ class MixedRig(BaseModel):
             for role, name in place
             if name
         }
-        named |= {f"{key}.instrument": its.instrument for key, its in self._beside().items()}
+        named |= {f"{key}.instrument": its.instrument for key, its in self._rig_wide_tables().items()}
         for key, name in named.items():
             if name not in self.instruments:
                 raise ValueError(
@@ -102,12 +102,12 @@ class MixedRig(BaseModel):
                 )
         return self
 
-    def _beside(self) -> dict[str, NamedSupply | NamedClimateProbe]:
-        """Tables of what serves no position."""
+    def _rig_wide_tables(self) -> dict[str, NamedSupply | NamedClimateProbe]:
+        """Return the tables of instruments that serve no position."""
         return {key: its for key, its in (("drive", self.drive), ("air", self.air)) if its is not None}
 
     def served_by(self, name: str) -> dict[Role, tuple[str, ...]]:
-        """Positions that an instrument serves, by role."""
+        """Return the positions that an instrument serves, by role."""
         served: dict[Role, tuple[str, ...]] = {}
         for roles in NEEDED.values():
             for role in roles:
@@ -121,14 +121,14 @@ class MixedRig(BaseModel):
         return served
 
     def key_of(self, name: str, role: Role) -> str:
-        """Name the first key that makes an instrument what it is used as."""
+        """Return the first key that gives an instrument its role."""
         if role in ROLE_KEYS:
             return f"rig.{ROLE_KEYS[role]}.instrument"
         position = next(at for at, place in self.positions.items() if getattr(place, role) == name)
         return f"rig.positions.{position}.{role}"
 
     def require_places(self, methods: Mapping[str, str]) -> None:
-        """Refuse a position without its instruments, and places and roles that there are not.
+        """Raise an error for a position without its instruments, or an unknown position or role.
 
         Parameters
         ----------
@@ -161,7 +161,7 @@ class MixedRig(BaseModel):
 
 
 def without(values: Mapping[str, Any], paths: frozenset[str]) -> dict[str, Any]:
-    """Nested tables less the keys at these dotted paths."""
+    """Return nested tables without the keys at these dotted paths."""
     kept = {}
     for name, value in values.items():
         if name in paths:

@@ -24,7 +24,7 @@ _VARIABLE = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 
 
 def refused_address(url: str, *, plain_http: bool) -> str:
-    """Say what is wrong with a webhook's address, without the address itself; empty: nothing."""
+    """Return why a webhook's address is rejected, without the address; empty if it is valid."""
     try:
         parts = urlsplit(url)
         _ = parts.port
@@ -147,7 +147,7 @@ class NotificationSettings(_Table):
         return self
 
     def require_positions(self, positions: list[str]) -> None:
-        """Check that rules name positions that there are.
+        """Check that the positions of the rules exist.
 
         Raises
         ------

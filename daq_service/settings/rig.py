@@ -52,7 +52,7 @@ class RigSettings(MixedRig):
         return self
 
     def _is_mixed_or_not(self) -> None:
-        """Refuse tables that this kind of rig would not look at."""
+        """Raise an error for tables that this kind of rig does not use."""
         if self.kind != "mixed":
             given = [table for table in MixedRig.model_fields if getattr(self, table)]
             if given:
@@ -75,33 +75,33 @@ class RigSettings(MixedRig):
 
     @property
     def driven(self) -> DriveParameters | None:
-        """How the electrochemical drive is set and watched, whatever its supply; None: there is none."""
+        """Return the parameters of the supply of any kind; None if there is none."""
         return self.supply or self.drive
 
     @property
     def logged(self) -> LogParameters | None:
-        """How the climate is logged, whatever its probe; None: it is not."""
+        """Return the logging parameters of the climate probe of any kind; None if there is none."""
         return self.climate or self.air
 
     def without_supply(self) -> RigSettings:
-        """Leave the supply out: its port belongs to a process of its own."""
+        """Return the settings without the supply, because its port belongs to a separate process."""
         used = None if self.drive is None else self.drive.instrument
         others = {name: item for name, item in self.instruments.items() if name != used}
         return self.model_copy(update={"supply": None, "drive": None, "instruments": others})
 
     @property
     def dry_run(self) -> bool:
-        """True for a rehearsal: no coil is ever energised, and records show noise."""
+        """Return whether this is a rehearsal: no coil is energised, and waveforms show noise."""
         if self.kind == "mixed":
             return any(item.parameters.get("dry_run") is True for item in self.instruments.values())
         return self.kind == "daqmx" and self.daqmx is not None and self.daqmx.dry_run
 
     @property
     def on_twin(self) -> bool:
-        """True where the twin strikes: alone, or behind doubles of the boards."""
+        """Return whether the twin strikes, alone or behind doubles of the boards."""
         return self.kind == "simulated" or self.on_doubles
 
     @property
     def simulates_time(self) -> bool:
-        """True where a simulated clock makes sense: no real rig is waited for."""
+        """Return whether a simulated clock is possible, because there is no real rig."""
         return self.on_twin or self.kind == "playback"

@@ -60,13 +60,13 @@ class _Described(GenerateJsonSchema):
 
 
 def settings_schema() -> dict[str, Any]:
-    """JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
+    """Return the JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
     schema = Settings.model_json_schema(schema_generator=_Described)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
 def schema_with_kinds() -> dict[str, Any]:
-    """Give the same with the keys of every kind of instrument that is installed here.
+    """Return the schema with the keys of every installed kind of instrument.
 
     A kind that cannot be imported is left out; it is refused where a configuration names it.
     """
@@ -93,10 +93,10 @@ def describe(path: Sequence[str]) -> str:
     schema = _schema()
     node: Mapping[str, Any] = schema
     for name in path:
-        node = _meant(schema, node)
+        node = _resolve_reference(schema, node)
         below = node.get("properties", {}).get(name, node.get("additionalProperties"))
         node = below if isinstance(below, dict) else {}
-    words = node.get("description") or _meant(schema, node).get("description", "")
+    words = node.get("description") or _resolve_reference(schema, node).get("description", "")
     return " ".join(words.partition("\n\n")[0].split())
 
 
@@ -105,7 +105,7 @@ def _schema() -> dict[str, Any]:
     return settings_schema()
 
 
-def _meant(schema: Mapping[str, Any], node: Mapping[str, Any]) -> Mapping[str, Any]:
+def _resolve_reference(schema: Mapping[str, Any], node: Mapping[str, Any]) -> Mapping[str, Any]:
     """Follow a reference, also of a key that may be absent."""
     options = [node, *node.get("anyOf", [])]
     names = [option["$ref"].rpartition("/")[2] for option in options if "$ref" in option]
@@ -113,7 +113,7 @@ def _meant(schema: Mapping[str, Any], node: Mapping[str, Any]) -> Mapping[str, A
 
 
 def known_keys() -> list[str]:
-    """Name every key, wherever it stands."""
+    """Return the names of all keys at any level."""
     keys: set[str] = set()
 
     def walk(node: Any) -> None:

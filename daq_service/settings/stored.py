@@ -47,7 +47,7 @@ class _Stored(Settings):
 
 
 def stored_settings(values: Mapping[str, Any]) -> Settings:
-    """Give the settings of a test as it was begun, without today's environment.
+    """Return the settings with which a test was started, without the current environment.
 
     Raises
     ------
@@ -58,15 +58,15 @@ def stored_settings(values: Mapping[str, Any]) -> Settings:
 
 
 def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
-    """Nested tables under today's names, without keys that went, with what was done before others came."""
+    """Return nested tables with current names, without removed keys, with earlier values of new keys."""
     # What a version wrote has all its tables; one that a person wrote and left out means today's defaults.
     before = {path: value for key, value in BEFORE.items() if (path := tuple(key.split(".")))[0] in values}
-    moved = ((_todays(path), value) for path, value in flattened(values).items())
+    moved = ((_current_path(path), value) for path, value in flattened(values).items())
     return nested(before | {path: value for path, value in moved if path})
 
 
 def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
-    """Say key by key where a stored configuration means something else than the one given.
+    """Return the differences in meaning between a stored configuration and the given one, by key.
 
     Parameters
     ----------
@@ -86,37 +86,39 @@ def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
     }
     foreign = _unknown(nested(flat))
     unknown = {path for path in flat if any(path[: len(key)] == key for key in foreign)}
-    told = {
+    messages = {
         path: f"began with {json.dumps(flat[path])}; this version has no such key"
         for path in unknown
         if not _is_hashed_out(path)
     }
     try:
         known: Settings = _Stored(**nested({p: v for p, v in flat.items() if p not in unknown}))
-        known = _with_todays_defaults(known)
-        began = flattened(known.measured())
+        known = _with_current_defaults(known)
+        then = flattened(known.measured())
     except ValidationError as error:
-        told |= {_path(problem["loc"]): f"{problem['msg']}, says this version" for problem in error.errors()}
+        messages |= {
+            _path(problem["loc"]): f"{problem['msg']}, says this version" for problem in error.errors()
+        }
     else:
         now = flattened(given.measured())
         # A key that is not hashed where it says what was done before it came has a value all the same.
         then_flat = flattened(known.model_dump(mode="json"))
-        told |= {
-            path: f"began with {_value(then_flat | began, path)}, is {_value(given_flat | now, path)} now"
-            for path in {**began, **now}
-            if _value(began, path) != _value(now, path)
+        messages |= {
+            path: f"began with {_value(then_flat | then, path)}, is {_value(given_flat | now, path)} now"
+            for path in {**then, **now}
+            if _value(then, path) != _value(now, path)
         }
     # A position repeats what it takes from the tables above it.
     lines = [
         f"{'.'.join(path)} {text}"
-        for path, text in sorted(told.items())
-        if path[:1] != ("positions",) or told.get(path[2:]) != text
+        for path, text in sorted(messages.items())
+        if path[:1] != ("positions",) or messages.get(path[2:]) != text
     ]
     return lines if len(lines) <= SHOWN else [*lines[:SHOWN], f"and {len(lines) - SHOWN} more"]
 
 
-def _with_todays_defaults(settings: Settings) -> Settings:
-    """Fill in what a plug-in has learnt since; one that is not there any more has learnt nothing."""
+def _with_current_defaults(settings: Settings) -> Settings:
+    """Fill in new defaults of plug-ins; a plug-in that is not installed has none."""
     try:
         return with_defaults(settings)
     except (ConfigurationError, ParametersError):
@@ -143,8 +145,8 @@ def _is_hashed_out(path: KeyPath) -> bool:
     return False
 
 
-def _todays(path: KeyPath) -> KeyPath | None:
-    """Where a key stands today, None where it went."""
+def _current_path(path: KeyPath) -> KeyPath | None:
+    """Return the current path of a key, None if it was removed."""
     for old, new in RENAMED.items():
         names = old.split(".")
         if len(path) >= len(names) and all(a in ("*", b) for a, b in zip(names, path, strict=False)):
@@ -165,16 +167,16 @@ def _value(flat: Mapping[KeyPath, Any], path: KeyPath) -> str:
 
 
 def flattened(values: Mapping[str, Any], above: KeyPath = ()) -> dict[KeyPath, Any]:
-    """Tables by the path of each key; an empty table and a list count as values."""
-    found: dict[KeyPath, Any] = {}
+    """Return the values by the path of each key; an empty table and a list count as values."""
+    flat: dict[KeyPath, Any] = {}
     for name, value in values.items():
         below = isinstance(value, Mapping) and value
-        found |= flattened(value, (*above, name)) if below else {(*above, name): value}
-    return found
+        flat |= flattened(value, (*above, name)) if below else {(*above, name): value}
+    return flat
 
 
 def nested(values: Mapping[KeyPath, Any]) -> dict[str, Any]:
-    """Undo `flat`."""
+    """Return nested tables from values by path; the inverse of `flattened`."""
     tree: dict[str, Any] = {}
     for path, value in values.items():
         below = tree

@@ -79,7 +79,7 @@ class ClockSettings(Section):
 
     @property
     def is_paced(self) -> bool:
-        """True where simulated time is slowed down for people to watch."""
+        """Return whether simulated time is slowed down for viewers."""
         return self.kind == "simulated" and self.pace_h_per_s is not None
 
     @field_validator("epoch")
@@ -143,7 +143,7 @@ class PositionSettings(Section):
 
 
 def _paper_positions() -> dict[str, PositionSettings]:
-    """Table 1 of the paper."""
+    """Return the positions of Table 1 of the paper."""
     small, large = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
     return {
         "A": PositionSettings(method=PULSE_ECHO, label="Ultrasonic probe, 25.4 mm patch", corrosion=small),
@@ -340,7 +340,7 @@ class Settings(BaseSettings):
         dotenv_settings: PydanticBaseSettingsSource,
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """Environment over file; no hidden `.env` file."""
+        """Return the sources: the environment overrides the file; no `.env` file is read."""
         return env_settings, init_settings
 
     @model_validator(mode="before")
@@ -351,12 +351,12 @@ class Settings(BaseSettings):
             return values
         positions = values.get("positions")
         if positions is None:
-            positions = {name: _given(place) for name, place in _paper_positions().items()}
+            positions = {name: _position_values(place) for name, place in _paper_positions().items()}
         if not isinstance(positions, dict):
             return values
         filled = {}
         for name, place in positions.items():
-            filled[name] = _inheriting(place, values) if isinstance(place, dict) else place
+            filled[name] = _with_inherited_tables(place, values) if isinstance(place, dict) else place
         return {**values, "positions": filled}
 
     @field_validator("positions")
@@ -392,7 +392,7 @@ class Settings(BaseSettings):
         return self
 
     def _sets_do_not_overlap(self) -> None:
-        """One set is struck before the next is due: else it would be missed while the rig is at work."""
+        """Check that each set ends before the next is due, which would be missed otherwise."""
         transducers = len(self.names_of(SOLITARY_WAVE))
         # The last strike needs no interval after it.
         strikes = max(0, transducers * self.schedule.shots_per_set - 1)
@@ -408,7 +408,7 @@ class Settings(BaseSettings):
             )
 
     def _is_wired(self) -> None:
-        """Every position has its board, and no board a position that nobody monitors."""
+        """Check that every position has its board, and every board a monitored position."""
         assert self.rig.daqmx is not None, "RigSettings asks for it"
         probes = {} if self.rig.niscope is None else self.rig.niscope.probes
         for table, method, wired in (
@@ -428,14 +428,14 @@ class Settings(BaseSettings):
                 )
 
     def false_alarms_per_sensor_year(self) -> float:
-        """Budget of one transducer's chart: its own, or its part of that of all."""
+        """Return the design false-alarm rate of one transducer: its own, or its share of the rate of all."""
         of_all = self.alarms.false_alarms_per_year
         if of_all is None:
             return self.alarms.false_alarms_per_sensor_year
         return of_all / sum(place.method == SOLITARY_WAVE for place in self.positions.values())
 
     def measured(self) -> dict[str, Any]:
-        """Give what the data depend on, ready for JSON: all but `HASHED_OUT`."""
+        """Return the settings that affect the data, ready for JSON: all but `HASHED_OUT`."""
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
         rig = values["rig"]
         # Keys that came later: where they say what was done before, what was hashed before is hashed still.
@@ -464,22 +464,22 @@ class Settings(BaseSettings):
         return values
 
     def configuration_hash(self) -> str:
-        """SHA-256 of what the data depend on: the name of the folder that this configuration begins."""
+        """Return the SHA-256 of the settings that affect the data, which names the data folder."""
         return hashlib.sha256(
             json.dumps(self.measured(), sort_keys=True, separators=(",", ":")).encode()
         ).hexdigest()
 
     @property
     def thinnest_m(self) -> float:
-        """Thickness at which a probe's wall has lost as much as its alarm allows."""
+        """Return the minimum thickness of a probe's wall, at which its alarm becomes active, in m."""
         return (1.0 - self.alarms.thickness_loss_fraction) * self.ultrasound.initial_thickness_m
 
     def names_of(self, method: Method) -> list[str]:
-        """Positions monitored by a method, in the order of the file."""
+        """Return the positions monitored by a method, in the order of the file."""
         return [name for name, place in self.positions.items() if place.method == method]
 
 
-def _inheriting(place: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+def _with_inherited_tables(place: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
     filled = dict(place)
     for table in ("chain", "plate", "corrosion"):
         above, own = common.get(table, {}), filled.get(table, {})
@@ -488,6 +488,6 @@ def _inheriting(place: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str
     return filled
 
 
-def _given(place: PositionSettings) -> dict[str, Any]:
-    """Position as a file would give it: only what differs from the defaults."""
+def _position_values(place: PositionSettings) -> dict[str, Any]:
+    """Return a position as in a file, with only the values that differ from the defaults."""
     return {"method": place.method, "label": place.label, "corrosion": {"size_m": place.corrosion.size_m}}

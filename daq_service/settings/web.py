@@ -14,7 +14,7 @@ HostName = Annotated[str, Field(pattern=r"^[a-z0-9]([a-z0-9.-]{0,251}[a-z0-9])?$
 
 
 def is_address(text: str) -> bool:
-    """Tell that this is an IP address."""
+    """Return whether a text is an IP address."""
     try:
         ipaddress.ip_address(text)
     except ValueError:
@@ -80,18 +80,18 @@ class WebSettings(BaseModel):
 
     @property
     def is_reachable(self) -> bool:
-        """True where other computers shall reach the service, by itself or through a proxy."""
+        """Return whether other computers can reach the service, directly or through a proxy."""
         return self.host not in LOOPBACK or bool(self.host_names) or bool(self.proxy)
 
     @property
     def names_elsewhere(self) -> frozenset[str]:
-        """Host names beside the loopback's that requests may be for."""
+        """Return the host names of valid requests, besides those of the loopback."""
         own = {self.host} - LOOPBACK.keys()
         return frozenset(self.host_names) | {name for name in own if not _is_any(name)}
 
     @property
     def has_tls(self) -> bool:
-        """True where the service itself encrypts."""
+        """Return whether the service itself encrypts."""
         return bool(self.tls_certificate)
 
 

@@ -259,7 +259,7 @@ def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, op
         page.get_by_role("button", name="Run to the end").click()
 
     with monkeypatch.context() as late:
-        late.setattr("daq_service.commands.deadline.left_now_s", lambda row: 0.0)
+        late.setattr("daq_service.commands.deadline.remaining_now_s", lambda row: 0.0)
         order()
         expect(notice).to_contain_text("finish_now expired: not carried out, and nobody will")
         expect(page.locator("#finish")).to_have_text("Finish now")

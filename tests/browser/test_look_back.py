@@ -12,7 +12,7 @@ from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
 from support.served_web import served
 from support.waiting import until
 
-from daq_service.assessment.baseline_lifecycle import renewed
+from daq_service.assessment.baseline_lifecycle import renew
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import SetRow
 from daq_service.corrosion_drive.charge import DriveState
@@ -331,7 +331,7 @@ def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(fi
     """Position D was coupled again before set 50: its second baseline collects from there on."""
     asked = {"author": "ben", "because": "coupled anew", "utc_ns": filled.epoch_ns}
     first = frozen_baseline("D", id=4)
-    rows = renewed("D", filled.settings, first, first_set=RENEWED, **asked)
+    rows = renew("D", filled.settings, first, first_set=RENEWED, **asked)
     filled.catalogue.commit_set(SetCommit(baselines=[first]))
     filled.catalogue.commit_set(SetCommit(baselines=rows))
     page = open_page(f"{service.url}?position=D&relative=1")

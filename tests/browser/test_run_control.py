@@ -247,11 +247,9 @@ def test_the_person_who_paused_the_test_is_found_with_three_clicks(service, open
     ]
     for who, what, moment in deeds:
         entry = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
-        audit.tell(**entry, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
+        audit.add(**entry, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
     for _ in range(60):
-        audit.tell(
-            who="ann", what="release", role="admin", source="terminal", result="refused", why="no hold"
-        )
+        audit.add(who="ann", what="release", role="admin", source="terminal", result="refused", why="no hold")
     page = open_page(service.url)
     rows = page.locator("#audit tbody tr")
     clicks = [

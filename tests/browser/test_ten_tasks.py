@@ -71,7 +71,7 @@ def service(filled):
         for who, what, days in (("old", "hold", 2), ("cleo", "hold", 1), ("ben", "log_in", 1)):
             entry = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
             at = noon - timedelta(days=days)
-            audit.tell(**entry, arguments={"note": "new sensor"}, utc_ns=int(at.timestamp()) * 10**9)
+            audit.add(**entry, arguments={"note": "new sensor"}, utc_ns=int(at.timestamp()) * 10**9)
         yield running
 
 

@@ -84,10 +84,10 @@ def kinds_of_the_code():
                 place = node.args[0]
             elif name == "annotate":
                 place = node.args[1]
-            elif name in {"tell", "_tell"} and len(node.args) >= 2:
+            elif name in {"tell", "_tell", "add_event", "_add_event", "store_event"} and len(node.args) >= 2:
                 first = set(texts(node.args[0], constants))
                 place = node.args[1] if first & set(TOPICS) else node.args[0]
-            elif name == "_to" and path.name == "states.py":
+            elif name == "_change_state" and path.name == "states.py":
                 place = node.args[3]
             named = [key.value for key in node.keywords if key.arg == "event_kind"]
             if name == "change_baselines":

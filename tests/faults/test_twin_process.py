@@ -13,7 +13,7 @@ import pytest
 
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.rig.open_rig import open_rig
-from daq_service.rig.twin import _pass_on, records, transducers_of, twin_executor
+from daq_service.rig.twin import _forward_messages, records, transducers_of, twin_executor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import ShotKey
 from simulator.instruments import RECORDS_AHEAD, build_bench
@@ -95,7 +95,7 @@ def test_a_compiling_worker_is_reported_and_a_dead_one_ends_its_compilation():
         sender.send(word)
     sender.close()  # as the system does for a worker that is killed
     with hear:
-        _pass_on(hear, heard.append)
+        _forward_messages(hear, heard.append)
     assert heard == [True, False, True, False]
 
 

@@ -265,7 +265,7 @@ class FilledFolder:
         for author in authors:
             asked = Confirmation(due=due, because=STEP, author=author).payload()
             moment = Moment(utc_ns=due.due_utc_ns, due_h=due.due_h, set_index=planned_set)
-            transaction.tell(CONFIRMATION_ASKED, asked, moment, position=position)
+            transaction.add_event(CONFIRMATION_ASKED, asked, moment, position=position)
         its = {"set_index": due.set_index, "position": position, "due_h": due.due_h}
         row = SetRow(
             **its,

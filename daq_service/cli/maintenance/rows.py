@@ -9,7 +9,7 @@ from typing import Any
 
 from daq_service.acquisition.taken_set import n_missed, n_restrikes
 from daq_service.archive import SetRecord, SetReference
-from daq_service.assessment.results_in_file import differing as results_differ
+from daq_service.assessment.results_in_file import find_differences as results_differ
 from daq_service.assessment.results_in_file import results_of
 from daq_service.assessment.transaction import shot_row
 from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, ThicknessRow, values

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.acquisition.taken_set import features_of_all
 from daq_service.assessment.assessor import PositionResult
-from daq_service.assessment.baseline_lifecycle import planned
+from daq_service.assessment.baseline_lifecycle import baseline_range
 from daq_service.assessment.solitary_wave import SolitaryWaveAssessor
 from daq_service.clock import parse_utc
 from daq_service.rig.twin import transducers_of
@@ -62,7 +62,7 @@ def assessed_sets(
     """
     specimen = specimen or specimen_of(settings)
     epoch_ns = parse_utc(settings.clock.epoch)
-    assessor = SolitaryWaveAssessor(position, settings, baseline=planned(position, settings, None))
+    assessor = SolitaryWaveAssessor(position, settings, baseline=baseline_range(position, settings, None))
     for due in plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h):
         hour_h = specimen.hour_h(due.due_utc_ns - epoch_ns)
         stamp = Stamp(utc_ns=due.due_utc_ns, mono_ns=due.due_utc_ns, boot_id="simulated")

@@ -12,7 +12,7 @@ from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.evidence import baseline_doubts
 from daq_service.archive import FolderSetReader
 from daq_service.archive.errors import ArchiveError
-from daq_service.assessment.confirmation import asked_so_far, confirmed, n_today
+from daq_service.assessment.confirmation import count_recent, read_confirmations, summarize_confirmation
 from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
 from daq_service.assessment.restore_state import thickness_interval_m
 from daq_service.assessment.stored_limits import deciding_chart
@@ -31,7 +31,7 @@ from daq_service.catalogue.rows import (
     SetRow,
     values,
 )
-from daq_service.commands.deadline import as_it_stands, left_now_s
+from daq_service.commands.deadline import remaining_now_s, with_expiry
 from daq_service.corrosion_drive.supply_state import describe_supply, read_supply_status
 from daq_service.errors import StorageError
 from daq_service.processes.disk_policy import outlook
@@ -197,14 +197,14 @@ def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -
     last = None
     if newest is not None:
         assessments = catalogue.rows(AssessmentRow, position=newest.position, set_index=newest.set_index)
-        result = asdict(confirmed(newest, assessments[0] if assessments else None))
+        result = asdict(summarize_confirmation(newest, assessments[0] if assessments else None))
         last = {"position": newest.position, **result, "age_h": fresh.age_h(newest.due_h)}
-    requested, maximum = asked_so_far(catalogue), settings.alarms.confirmation_sets_a_day
+    requested, maximum = read_confirmations(catalogue), settings.alarms.confirmation_sets_a_day
     return {
         "sets": len(rows),
         "last": last,
         "left_today": {
-            name: max(0, maximum - n_today(name, requested, fresh.now_h))
+            name: max(0, maximum - count_recent(name, requested, fresh.now_h))
             for name, place in settings.positions.items()
             if place.method == SOLITARY_WAVE
         },
@@ -220,12 +220,12 @@ def _next_due_h(settings: Settings, done: int) -> float | None:
 def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
     """Return the commands that wait for the recorder or are executed; not the expired ones."""
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
-    commands_with_time = [(row, left_now_s(row)) for row in waiting]
+    commands_with_time = [(row, remaining_now_s(row)) for row in waiting]
     names = ("id", "kind", "author", "arguments", "state")
     return [
         {**{name: getattr(row, name) for name in names}, "expires_in_s": left_s}
         for row, left_s in commands_with_time
-        if as_it_stands(row, left_s).state in ("pending", "started")
+        if with_expiry(row, left_s).state in ("pending", "started")
     ]
 
 

@@ -14,7 +14,7 @@ from rich.text import Text
 from analysis.diagnosis.hypotheses import OK, WALL
 from daq_service.alarms.evidence import confirmation_sentence
 from daq_service.alarms.guidance import GUIDANCE, in_order
-from daq_service.assessment.diagnosis import said
+from daq_service.assessment.diagnosis import diagnosis_text
 from daq_service.cli.terminal import duration
 from daq_service.clock import format_utc
 from daq_service.processes.disk_policy import LEVELS
@@ -141,7 +141,9 @@ def _assessments(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[s
         if not _of_the_same_set(row["last_feature"], assessment) or assessment["cause"] in (None, OK):
             continue
         style = "bold red" if assessment["cause"] == WALL else "yellow"
-        sentence = said(assessment["cause"], assessment["cause_probability"], assessment["cause_told"])
+        sentence = diagnosis_text(
+            assessment["cause"], assessment["cause_probability"], assessment["cause_told"]
+        )
         yield f"{name}, set {assessment['set_index']}: {sentence}", style
 
 

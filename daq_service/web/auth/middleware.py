@@ -120,7 +120,7 @@ class AccessPolicy:
         """Audit a refusal with its reason and request id; the request itself may contain a token."""
         person: Person | None = scope.get("state", {}).get("person")
         await asyncio.to_thread(
-            self.audit.tell,
+            self.audit.add,
             who=person.name if person else "",
             role=person.role if person else "",
             source=address_of(scope),

@@ -30,7 +30,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.commands.audit import AuditEntry, read_audit
-from daq_service.commands.deadline import as_it_stands, left_now_s
+from daq_service.commands.deadline import remaining_now_s, with_expiry
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.stored import stored_settings
@@ -217,7 +217,9 @@ def read_contents(
             alarms=alarms[-MOST_LINES:],
             history=_history(catalogue, {row.id for row in alarms[-MOST_LINES:]}),
             annotations=catalogue.rows(AnnotationRow, **filters)[-MOST_LINES:],
-            orders=[as_it_stands(row, left_now_s(row)) for row in catalogue.rows(CommandRow)[-MOST_LINES:]],
+            orders=[
+                with_expiry(row, remaining_now_s(row)) for row in catalogue.rows(CommandRow)[-MOST_LINES:]
+            ],
             audit=[entry for _, entry in read_audit(folder, limit=MOST_LINES)[0]] if audited else None,
         )
 

@@ -78,7 +78,7 @@ def write_audit_entry(
     """Write a request of a person and its result to the audit log."""
     context = context_at(connection)
     audit = context.access_policy.audit if operation in TOKEN_OPERATIONS else context.audit
-    audit.tell(
+    audit.add(
         who=person.name or claimed,
         role=person.role,
         source=address_of(connection.scope),

@@ -16,7 +16,7 @@ from starlette.responses import Response
 from daq_service.archive import SetReference
 from daq_service.archive.waterfall.cells import anchors_of
 from daq_service.archive.waterfall.image import Picture, Wanted
-from daq_service.assessment.baseline_lifecycle import planned
+from daq_service.assessment.baseline_lifecycle import baseline_range
 from daq_service.assessment.results_in_file import results_in
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.owner import experiment_identity
@@ -223,7 +223,7 @@ def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int
         reading = catalogue.first_reading(position)
         set_indices = [] if reading is None else [reading.set_index]
     else:
-        plan = planned(position, context.settings, catalogue.baseline(position))
+        plan = baseline_range(position, context.settings, catalogue.baseline(position))
         assessments = catalogue.rows(
             AssessmentRow, position=position, first_set=plan.first_set, last_set=plan.last_set
         )

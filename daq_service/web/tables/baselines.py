@@ -8,7 +8,7 @@ from typing import Any
 
 from analysis.waves.features import FEATURE_NAMES
 from daq_service.acquisition.schedule import due_hours
-from daq_service.assessment.baseline_lifecycle import first_one
+from daq_service.assessment.baseline_lifecycle import first_baseline
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import BaselineRow, EnvironmentRow, FeatureRow
 from daq_service.settings.tree import Settings
@@ -22,7 +22,7 @@ def published_baselines(
     rows = catalogue.rows(BaselineRow, position=position)
     positions_with_baseline = {row.position for row in rows}
     rows += [
-        first_one(name, settings, epoch_utc_ns)
+        first_baseline(name, settings, epoch_utc_ns)
         for name, place in settings.positions.items()
         if place.method == SOLITARY_WAVE and name not in positions_with_baseline and position in (None, name)
     ]

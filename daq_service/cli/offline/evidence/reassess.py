@@ -28,7 +28,7 @@ from daq_service.alarms.states import (
     reset,
 )
 from daq_service.archive import FolderSetReader, SetRecord, SetReference
-from daq_service.assessment.baseline_lifecycle import STEPS, planned
+from daq_service.assessment.baseline_lifecycle import STEPS, baseline_range
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import Catalogue, RecorderCatalogue
 from daq_service.catalogue.rows import (
@@ -213,7 +213,9 @@ class _Reassessment:
             step = {name: getattr(stored, name) for name in LIFE}
             self._again.restore([replace(present, **step)])
         else:  # a successor that begins: as many sets as a baseline has by these settings
-            baseline_plan = planned(stored.position, self._settings, self._again.baseline(stored.position))
+            baseline_plan = baseline_range(
+                stored.position, self._settings, self._again.baseline(stored.position)
+            )
             last_set = stored.first_set_index + baseline_plan.last_set - baseline_plan.first_set
             self._again.restore([replace(stored, last_set_index=last_set)])
         self._assessor.renewed(stored.position)

@@ -14,7 +14,7 @@ import click
 
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.archive import FolderSetReader
-from daq_service.assessment.baseline_lifecycle import planned
+from daq_service.assessment.baseline_lifecycle import baseline_range
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import AssessmentRow, FeatureRow
 from daq_service.cli.offline.evidence.changes import (
@@ -184,7 +184,7 @@ def _not_assessed(position: str, recomputed: Catalogue, settings: Settings) -> I
     if not all(found["in_baseline"]) or not found["set_index"]:
         return
     sets, last_set = (
-        planned(position, settings, recomputed.baseline(position)),
+        baseline_range(position, settings, recomputed.baseline(position)),
         max(found["set_index"]),
     )
     yield NotAssessed(

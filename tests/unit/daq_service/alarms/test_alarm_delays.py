@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq_service.alarms.delays import followed
+from daq_service.alarms.delays import apply_delays
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.states import Condition, Moment, acknowledge, update
 from daq_service.settings.alarm_delays import DEAD_BAND_KINDS, LONGEST_DELAY_S, AlarmKindSettings
@@ -38,7 +38,7 @@ class Alarm:
 
     def update(self, at_s, present, times_limit=None):
         now = condition(present, times_limit=times_limit)
-        now, self.since_ns = followed(self.row, now, self.since_ns, moment(at_s), self.kinds)
+        now, self.since_ns = apply_delays(self.row, now, self.since_ns, moment(at_s), self.kinds)
         change = None if now is None else update(self.row, now, moment(at_s))
         if change is not None:
             self.row = replace(change.row, id=1)

@@ -8,12 +8,12 @@ from daq_service.alarms.states import (
     Condition,
     Moment,
     acknowledge,
-    as_it_stands,
+    end_expired_shelf,
     end_suppression,
-    expired,
     shelve,
     take_out_of_service,
     update,
+    without_expired_shelf,
 )
 from daq_service.catalogue.rows import AlarmRow
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -63,9 +63,9 @@ def test_a_shelved_alarm_keeps_its_state_and_has_author_reason_and_end() -> None
 )
 def test_a_shelf_ends_by_the_earlier_of_two_clocks(hour: float, wall_h: float, is_over: bool) -> None:
     row, wall_ns = shelved(), WALL_NS + round(wall_h * NS_PER_H)
-    seen = as_it_stands(row, utc_ns=at(hour).utc_ns, wall_utc_ns=wall_ns)
+    seen = without_expired_shelf(row, utc_ns=at(hour).utc_ns, wall_utc_ns=wall_ns)
     assert (seen.suppressed is None) == is_over
-    change = expired(row, at(hour), wall_ns)
+    change = end_expired_shelf(row, at(hour), wall_ns)
     assert (change is not None) == is_over
     if change is not None:
         assert (change.event_kind, change.row.suppressed) == ("alarm_shelf_expired", None)
@@ -97,7 +97,7 @@ def test_a_raised_priority_ends_a_shelf_but_not_out_of_service() -> None:
 def test_out_of_service_is_ended_only_by_a_person() -> None:
     out = take_out_of_service(shelved(), "ben", "sensor is being repaired", at(3.0)).row
     assert (out.suppressed, out.shelved_until_utc_ns) == ("out_of_service", None)
-    assert as_it_stands(out, utc_ns=10**19, wall_utc_ns=10**19) is out
+    assert without_expired_shelf(out, utc_ns=10**19, wall_utc_ns=10**19) is out
     back = end_suppression(out, "out_of_service", "cai", "new cable", at(4.0))
     assert (back.event_kind, back.row.suppressed) == ("alarm_in_service", None)
     assert (back.row.suppressed_by, back.row.suppressed_because) == ("cai", "new cable")

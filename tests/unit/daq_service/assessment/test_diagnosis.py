@@ -15,14 +15,14 @@ from daq_service.assessment import solitary_wave_step
 from daq_service.assessment.diagnosis import (
     Origin,
     averages_of,
-    cause_after,
-    cause_confirmed,
-    experiment_text,
-    kept_origin,
+    diagnose_confirmation,
+    diagnose_scheduled,
+    diagnosis_details,
+    diagnosis_text,
     next_origin,
     origin_of,
+    origin_values,
     restored_diagnosis_state,
-    said,
 )
 from daq_service.assessment.signal_change import wall_conditions
 from daq_service.assessment.solitary_wave_step import Rules, SetOfShots, State, step
@@ -93,7 +93,7 @@ def row_of(assessment):
         outlier=assessment.outlier,
         cause=assessment.cause.cause,
         cause_probability=assessment.cause.probability,
-        cause_told=experiment_text(assessment.cause),
+        cause_told=diagnosis_details(assessment.cause),
     )
 
 
@@ -115,7 +115,7 @@ def origins(causes, n=5):
     """Return a letter for each set: `e` if the change is of another origin than the wall, else `w`."""
     origin, letters = Origin(), ""
     for number, cause in enumerate(causes):
-        origin = next_origin(origin, KINDS[cause], stood=number > 2, n=n)
+        origin = next_origin(origin, KINDS[cause], was_active=number > 2, n=n)
         letters += "e" if origin.elsewhere else "w"
     return letters
 
@@ -143,10 +143,10 @@ def test_an_alarm_changes_its_kind_only_for_a_persistent_diagnosis(causes, expec
 
 
 def test_an_alarm_that_was_active_before_the_set_keeps_its_kind(monkeypatch):
-    stood = []
+    was_active = []
 
     def noted(before, cause, **how):
-        stood.append(how["stood"])
+        was_active.append(how["was_active"])
         return next_origin(before, cause, **how)
 
     monkeypatch.setattr(solitary_wave_step, "next_origin", noted)
@@ -154,16 +154,16 @@ def test_an_alarm_that_was_active_before_the_set_keeps_its_kind(monkeypatch):
     for item in sets(CHANGES[SENSOR]):
         before.append(state.alarm.active)
         state, _ = step(state, item, RULES)
-    assert stood == before[LAST + 1 :]
-    assert {True, False} == set(stood)
+    assert was_active == before[LAST + 1 :]
+    assert {True, False} == set(was_active)
     assert state.origin == Origin(elsewhere=True)
 
 
 def test_a_restart_restores_the_origin_of_a_change():
-    kept = json.loads(json.dumps(kept_origin(Origin(elsewhere=True, otherwise=3))))
+    kept = json.loads(json.dumps(origin_values(Origin(elsewhere=True, otherwise=3))))
     assert origin_of(kept, UNDETERMINED) == Origin(elsewhere=True, otherwise=3)
     # An earlier version kept none.
-    assert origin_of({}, SENSOR) == Origin(elsewhere=True)
+    assert origin_of({}, SENSOR) == Origin(not_wall=True)
     assert origin_of({}, UNDETERMINED) == Origin()
 
 
@@ -225,9 +225,11 @@ def test_a_restart_continues_from_the_stored_diagnosis_state():
 def test_a_set_without_an_incident_wave_width_keeps_the_diagnosis_state():
     state, _ = run(CHANGES[OK])
     design = state.baseline.causes
-    memory, cause = cause_after(state.diagnosis_state, design, SETS, {"isw_fwhm_s": None}, suspicious=True)
+    memory, cause = diagnose_scheduled(
+        state.diagnosis_state, design, SETS, {"isw_fwhm_s": None}, suspicious=True
+    )
     assert (memory, cause) == (state.diagnosis_state, None)
-    assert cause_confirmed(memory, design, {"isw_fwhm_s": None}) == (memory, None)
+    assert diagnose_confirmation(memory, design, {"isw_fwhm_s": None}) == (memory, None)
 
 
 def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
@@ -236,10 +238,12 @@ def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     struck_after, found = LAST + 25, sets(change)
     state, alone = run(change, until=struck_after + 1)
     assert alone.cause.cause == UNDETERMINED
-    assert "abrupt: inspect the contact" in experiment_text(alone.cause)["action"]
-    assert said(UNDETERMINED, 0.8, experiment_text(alone.cause)).startswith("CANNOT TELL: something has")
+    assert "abrupt: inspect the contact" in diagnosis_details(alone.cause)["action"]
+    assert diagnosis_text(UNDETERMINED, 0.8, diagnosis_details(alone.cause)).startswith(
+        "CANNOT TELL: something has"
+    )
     design, values = state.baseline.causes, found[struck_after].values
-    memory, confirmed = cause_confirmed(state.diagnosis_state, design, values)
+    memory, confirmed = diagnose_confirmation(state.diagnosis_state, design, values)
     assert (confirmed.cause, confirmed.reseated) == (COUPLING, True)
     kept = restored_diagnosis_state(json.loads(json.dumps(averages_of(memory))))
     assert kept == memory

@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from daq_service.assessment.results_in_file import differing, results_of
+from daq_service.assessment.results_in_file import find_differences, results_of
 from daq_service.catalogue.rows import FeatureRow, ShotRow, ThicknessRow
 
 COMMON = {"set_index": 7, "due_h": 4.0, "extractor_version": "1.1", "quality": "good"}
@@ -37,12 +37,12 @@ def test_a_result_whose_record_is_lost_is_left_out():
 
 
 def test_a_copy_equals_its_rows_also_without_a_value():
-    assert list(differing(results(FEATURE, MEAN, WALL), results(FEATURE, MEAN, WALL))) == []
+    assert list(find_differences(results(FEATURE, MEAN, WALL), results(FEATURE, MEAN, WALL))) == []
 
 
 def test_a_changed_value_a_missing_row_and_an_extra_row_are_reported():
     copy = results(FEATURE, MEAN)
-    differences = list(differing(copy, results(replace(FEATURE, tof_pp_s=None), WALL)))
+    differences = list(find_differences(copy, results(replace(FEATURE, tof_pp_s=None), WALL)))
     assert differences == [
         "features, shot_id 41: tof_pp_s is nan, in the file 0.00033",
         "set_features, position B: there is no row",
@@ -52,4 +52,4 @@ def test_a_changed_value_a_missing_row_and_an_extra_row_are_reported():
 
 def test_another_version_of_the_extractor_is_not_compared():
     other = replace(FEATURE, tof_pp_s=1.0, extractor_version="2")
-    assert list(differing(results(FEATURE), results(other))) == []
+    assert list(find_differences(results(FEATURE), results(other))) == []

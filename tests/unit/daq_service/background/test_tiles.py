@@ -19,7 +19,7 @@ from daq_service.archive.waterfall.tile_files import tiles_of
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
 from daq_service.assessment.results_in_file import results_in
 from daq_service.background.finalize_sets import SetFinalizer
-from daq_service.background.tiles import EVERY_S, SETS_A_TURN, TileMaker, tile_record
+from daq_service.background.tiles import EVERY_S, SETS_A_TURN, TileMaker, add_record_to_tiles
 from daq_service.background.verification import QUIET_S
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.owner import experiment_identity
@@ -52,7 +52,7 @@ class Line:
         )
 
     def tile(self, set_index, results):
-        return partial(tile_record, self.folder, "ab/1", anchors_of(results)) if self.room else None
+        return partial(add_record_to_tiles, self.folder, "ab/1", anchors_of(results)) if self.room else None
 
     def file(self, *, room=True):
         """Write the files of all sets; without free space they get no tiles."""
@@ -148,7 +148,7 @@ def test_a_full_volume_gets_no_tiles(line):
 
 def test_an_unscheduled_set_gets_no_tiles(line):
     record = other_set(make_set(), PLANNED_SETS + SET_INDEX)
-    assert tile_record(line.folder, "ab/1", {}, record) == ""
+    assert add_record_to_tiles(line.folder, "ab/1", {}, record) == ""
     assert not (line.folder / TILES_FOLDER).exists()
 
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from daq_service.catalogue.rows import CommandRow
-from daq_service.commands.deadline import as_it_stands, left_s
+from daq_service.commands.deadline import remaining_s, with_expiry
 
 ORDER = CommandRow(
     id=1,
@@ -34,15 +34,15 @@ ORDER = CommandRow(
 def test_a_command_is_pending_until_its_deadline_in_this_boot(
     boot: str | None, boot_s: int, utc_s: int, left: float
 ) -> None:
-    found = left_s(ORDER, boot=boot, boot_ns=boot_s * 10**9, wall_utc_ns=utc_s * 10**9)
+    found = remaining_s(ORDER, boot=boot, boot_ns=boot_s * 10**9, wall_utc_ns=utc_s * 10**9)
     assert found == left
-    assert as_it_stands(ORDER, found).state == ("pending" if left else "expired")
+    assert with_expiry(ORDER, found).state == ("pending" if left else "expired")
 
 
 def test_a_started_command_does_not_expire() -> None:
     started = replace(ORDER, state="started")
-    assert as_it_stands(started, 0.0) is started
+    assert with_expiry(started, 0.0) is started
 
 
 def test_a_command_of_an_older_version_has_expired() -> None:
-    assert left_s(replace(ORDER, deadline_boot_ns=None), boot="this", boot_ns=0, wall_utc_ns=0) == 0.0
+    assert remaining_s(replace(ORDER, deadline_boot_ns=None), boot="this", boot_ns=0, wall_utc_ns=0) == 0.0

@@ -198,7 +198,7 @@ def test_a_retired_baseline_resets_its_change_alarms_with_the_same_author(
         condition = Condition(
             position=position, kind=kind, family="damage", severity="high", present=True, message="it changed"
         )
-        bench.ledger.tell(condition, moment)
+        bench.ledger.update_alarm(condition, moment)
     seen = bench.catalogue.add_command("bob", "acknowledge_alarm", {"alarm_id": 2, "note": "a worn sensor"})
     bench.listener.listen()
     assert bench.answer(seen)[0] == "done"

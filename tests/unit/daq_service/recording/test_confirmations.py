@@ -13,7 +13,7 @@ from support.table_rows import lose_catalogue, table_rows
 
 from analysis.diagnosis.diagnose import UNDETERMINED
 from analysis.diagnosis.hypotheses import COUPLING
-from daq_service.assessment.confirmation import ALARM, STEP, confirmation_of
+from daq_service.assessment.confirmation import ALARM, STEP, newest_confirmation
 from daq_service.catalogue.rows import AssessmentRow, CommandRow, FeatureRow, SetRow
 from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.recording.rebuild import rebuild
@@ -101,8 +101,8 @@ def test_an_outlier_causes_an_immediate_confirmation_set_at_its_position(undistu
         (planned,) = catalogue.rows(SetRow, position="B", set_index=FIRST)
         assert first.due_utc_ns == first.started_utc_ns == planned.ended_utc_ns
         assert first.due_h == pytest.approx(planned.due_h + (12 * 4.0 - 4.0) / 3600.0)
-        confirmation = confirmation_of(catalogue, "B", FIRST)
-        assert confirmation_of(catalogue, "C") is None
+        confirmation = newest_confirmation(catalogue, "B", FIRST)
+        assert newest_confirmation(catalogue, "C") is None
     assert confirmation.confirms is True
     assert confirmation.distance_squared > confirmation.limit
 
@@ -197,7 +197,7 @@ def test_a_pause_ends_a_confirmation_set(line):
 
 def confirmation_of_b(line):
     with line.catalogue() as catalogue:
-        return confirmation_of(catalogue, "B")
+        return newest_confirmation(catalogue, "B")
 
 
 def test_a_restart_during_a_confirmation_set_continues_it_once(line):

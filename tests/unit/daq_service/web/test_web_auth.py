@@ -388,24 +388,24 @@ def test_a_flood_of_refusals_leaves_a_bounded_number_of_lines_and_their_count(tm
     audit = Audit(tmp_path, mono_s=lambda: now_s[0])
     stranger = {"who": "", "role": "", "source": "10.0.0.9", "what": "enter"}
     for _ in range(150):
-        audit.tell(**stranger, result="refused")
-    audit.tell(who="ann", role="viewer", source="10.0.0.1", what="stop", result="refused")
+        audit.add(**stranger, result="refused")
+    audit.add(who="ann", role="viewer", source="10.0.0.1", what="stop", result="refused")
     found = audit_entries(tmp_path)
     assert len(found) == 101
     assert (found[-1].who, found[-1].left_out) == ("ann", 50)
     now_s[0] += 121.0
-    audit.tell(**stranger, result="refused")
-    audit.tell(**stranger, result="refused")
+    audit.add(**stranger, result="refused")
+    audit.add(**stranger, result="refused")
     assert len(audit_entries(tmp_path)) == 102
 
 
 def test_a_torn_line_takes_no_other_with_it(tmp_path):
     audit = Audit(tmp_path)
     ann = {"who": "ann", "role": "admin", "source": "terminal", "what": "hold", "result": "accepted"}
-    audit.tell(**ann)
+    audit.add(**ann)
     with (tmp_path / "audit.jsonl").open("ab") as file:
         file.write(b'{"crc32":"0000')
-    audit.tell(**ann)
+    audit.add(**ann)
     found, before = read_audit(tmp_path, limit=10)
     assert ([number for number, _ in found], before) == ([2, 1], None)
 
@@ -413,7 +413,7 @@ def test_a_torn_line_takes_no_other_with_it(tmp_path):
 def test_pages_of_the_audit_log_are_complete(tmp_path):
     audit = Audit(tmp_path)
     for number in range(25):
-        audit.tell(who=f"p{number}", role="admin", source="terminal", what="hold", result="accepted")
+        audit.add(who=f"p{number}", role="admin", source="terminal", what="hold", result="accepted")
     seen, end = [], None
     while True:
         page, end = read_audit(tmp_path, limit=7, end=end)
@@ -428,7 +428,7 @@ def audited(tmp_path):
     """Return 25 audit entries, one per second from 2024-01-01T00:00:00Z, of two people in turns."""
     audit = Audit(tmp_path)
     for number in range(25):
-        audit.tell(
+        audit.add(
             who=("ann", "ben")[number % 3 == 0],
             role="admin",
             source="terminal",

@@ -12,9 +12,9 @@ from support.stored_files import read_set, set_files
 
 from daq_service.archive.waterfall.cells import accepted_records, anchors_of
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
-from daq_service.assessment.baseline_lifecycle import renewed
+from daq_service.assessment.baseline_lifecycle import renew
 from daq_service.assessment.results_in_file import results_in
-from daq_service.background.tiles import tiles_again
+from daq_service.background.tiles import rebuild_tiles
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.settings.tree import Settings
@@ -148,7 +148,7 @@ def test_the_difference_is_from_the_mean_of_the_baseline(api, filled):
 def renewed_at(filled, position, first_set):
     """Return the row of a new baseline that is collecting."""
     asked = {"first_set": first_set, "author": "ben", "because": "coupled anew", "utc_ns": filled.epoch_ns}
-    return renewed(position, filled.settings, None, **asked)[1]
+    return renew(position, filled.settings, None, **asked)[1]
 
 
 def test_the_json_format_has_the_same_values(api):
@@ -213,7 +213,7 @@ def test_tiles_give_the_same_waterfall_and_the_service_writes_none(api, filled):
     assert not (filled.folder / TILES_FOLDER).exists()
     files = {index: f"sets/{path.name}" for index, path in set_files(filled.folder).items()}
     name = experiment_identity(filled.catalogue.experiment_row())
-    corruption = tiles_again(
+    corruption = rebuild_tiles(
         filled.folder, name, files, lambda index: results_in(filled.catalogue, index), lambda done, of: None
     )
     assert corruption == []

@@ -16,7 +16,7 @@ from support.drifting_wall import RAISED, drifting_wall
 from support.life_of_a_test import lived
 
 from analysis.waves.features import EXTRACTOR_VERSION
-from daq_service.assessment.baseline_lifecycle import signed
+from daq_service.assessment.baseline_lifecycle import approve
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow
 from daq_service.cli.offline.evidence import replay
 from daq_service.cli.offline.evidence.changes import Onset, alarm_changes
@@ -278,7 +278,7 @@ def test_a_different_stored_value_is_reported_with_both_values(changed_line, lin
 @pytest.mark.parametrize(
     "after",
     [
-        lambda row: signed(row, "ann", 2**60),
+        lambda row: approve(row, "ann", 2**60),
         lambda row: replace(
             row, state="retired", retired_utc_ns=2**60, retired_by="ann", retired_because="coupled anew"
         ),
