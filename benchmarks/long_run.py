@@ -129,14 +129,14 @@ def measure(hours: float, folder: Path) -> dict[str, Any]:
             pulse_echo=instruments,
         )
 
-    def tell(event: str, **values: Any) -> None:
+    def report(event: str, **values: Any) -> None:
         if event == "progress" and values["done"] % EVERY_SETS == 0:
             samples.append((values["done"], *sample_process()))
             print(f"\r{values['done']} of {values['planned']} sets", end="", file=sys.stderr)
 
     prepare_data_folder(folder)
     with own_data_folder(folder):
-        record(settings, folder, opened, stop=threading.Event(), report=tell)
+        record(settings, folder, opened, stop=threading.Event(), report=report)
     print(file=sys.stderr)
     sets = [count for count, *_ in samples]
     memory, handles = [mb for _, mb, _ in samples], [float(number) for *_, number in samples]

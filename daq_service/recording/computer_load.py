@@ -74,18 +74,18 @@ class ComputerLoadWatch:
         system_ns: Callable[[], int] = time.time_ns,
     ) -> None:
         self._clock, self._space, self._files_read, self._system_ns = clock, space, files_read, system_ns
-        self._begun_ns = system_ns()
-        self._told_s: dict[str, float] = {}
+        self._started_ns = system_ns()
+        self._last_seconds: dict[str, float] = {}
 
     def read(self, cost: Cost) -> dict[str, Any]:
         """Give a reading as its event tells it."""
-        space, before = self._space(), self._told_s
-        self._told_s = dict(cost.seconds)
+        space, before = self._space(), self._last_seconds
+        self._last_seconds = dict(cost.seconds)
         real = isinstance(self._clock, WallClock)
         ahead_s = (self._system_ns() - self._clock.utc_ns()) / NS_PER_S if real else None
         reading = ComputerLoad(
             process=os.getpid(),
-            recorder_wall_utc_ns=self._begun_ns,
+            recorder_wall_utc_ns=self._started_ns,
             stage_s={name: round(s - before.get(name, 0.0), 6) for name, s in cost.seconds.items()},
             resident_bytes=resident_bytes(),
             open_handles=open_handles(),

@@ -36,10 +36,10 @@ def kept_experiment(folder: Path, history: History, archive: SetReader) -> Exper
     except CatalogueDamagedError as error:
         log.warning("%s", error)
         kept = None
-    told = history.experiment
-    if kept is not None and told is not None:
-        refuse_another(kept, told, EXPERIMENT_FILE, HISTORY_FILE, folder)
-    return kept or told or _of_the_files(archive)
+    stored = history.experiment
+    if kept is not None and stored is not None:
+        refuse_another(kept, stored, EXPERIMENT_FILE, HISTORY_FILE, folder)
+    return kept or stored or _of_the_files(archive)
 
 
 def _of_the_files(archive: SetReader) -> ExperimentRow | None:
@@ -50,27 +50,27 @@ def _of_the_files(archive: SetReader) -> ExperimentRow | None:
         except ArchiveError as error:
             log.warning("%s", error)
             continue
-        told = record.provenance
-        configuration = told.get("configuration")
-        if not configuration or "configuration_hash" not in told:
+        stored = record.provenance
+        configuration = stored.get("configuration")
+        if not configuration or "configuration_hash" not in stored:
             continue
         return ExperimentRow(
             name=configuration["name"],
-            configuration_hash=told["configuration_hash"],
+            configuration_hash=stored["configuration_hash"],
             configuration=configuration,
             created_utc_ns=_hour_0(record),
             epoch_utc_ns=_hour_0(record),
             clock=configuration["clock"]["kind"],
-            solimon_version=told["versions"]["solimon"],
+            solimon_version=stored["versions"]["solimon"],
         )
     return None
 
 
 def foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
     """Say why a set is not of this experiment; empty: it is."""
-    told = record.provenance.get("configuration_hash", experiment.configuration_hash)
-    if told != experiment.configuration_hash:
-        return f"configuration {told} instead of {experiment.configuration_hash}"
+    stored = record.provenance.get("configuration_hash", experiment.configuration_hash)
+    if stored != experiment.configuration_hash:
+        return f"configuration {stored} instead of {experiment.configuration_hash}"
     if _hour_0(record) != experiment.epoch_utc_ns:
         return f"hour 0 at {format_utc(_hour_0(record))} instead of {format_utc(experiment.epoch_utc_ns)}"
     return ""
@@ -114,5 +114,5 @@ def refuse_foreign_open_set(opened: OpenSet, planned: Sequence[DueSet], where: s
     """
     due = next((due.due_utc_ns for due in planned if due.set_index == opened.set_index), opened.due_utc_ns)
     if due != opened.due_utc_ns:
-        told = f"due at {format_utc(opened.due_utc_ns)} instead of {format_utc(due)}"
-        refuse_foreign([f"journal, set {opened.set_index}: {told}"], where)
+        stored = f"due at {format_utc(opened.due_utc_ns)} instead of {format_utc(due)}"
+        refuse_foreign([f"journal, set {opened.set_index}: {stored}"], where)

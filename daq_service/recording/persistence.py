@@ -347,11 +347,15 @@ class Persistence:
             damaged |= {} if helper is None else helper.damaged
         if damaged == self._reported_corruption and not at_the_start:
             return
-        new = {file: told for file, told in damaged.items() if file not in self._reported_corruption}
+        new = {
+            file: description
+            for file, description in damaged.items()
+            if file not in self._reported_corruption
+        }
         self._reported_corruption = damaged
-        for file, told in new.items():
-            log.error("%s: %s", file, told)
-            self.say("data_damaged", {"file": file, "told": told})
+        for file, description in new.items():
+            log.error("%s: %s", file, description)
+            self.say("data_damaged", {"file": file, "told": description})
         aside = [file for file in self._archive.quarantined() if file not in damaged]
         condition = damage_condition(aside, damaged)
         self._retry_queue.put(partial(self._set_assessor.update_alarm, condition, self._moment()))

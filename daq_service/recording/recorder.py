@@ -333,8 +333,8 @@ class Recorder:
         now_ns = self._rig.clock.utc_ns()
         if now_ns > due.due_utc_ns + NS_PER_H:
             return self._persistence.hindered(due.due_utc_ns) or OVERSLEPT
-        beside = self._set_assessor.confirmations
-        return overlap_reason(beside.room_ns(planned, now_ns), beside.set_ns)
+        confirmations = self._set_assessor.confirmations
+        return overlap_reason(confirmations.room_ns(planned, now_ns), confirmations.set_ns)
 
     def _request_confirmation(self, position: str, author: str, note: str) -> Transaction:
         """Ask for a set beside the plan by a person's order; it is taken once the line is free.
@@ -543,14 +543,14 @@ class Recorder:
             return
         self._announce(f"self-calibration before set {due.set_index}")
         try:
-            told = self_calibrating.self_calibrate()
+            result = self_calibrating.self_calibrate()
         except InstrumentError as error:
             if not self._is_transient(error):
                 raise RigError(f"self-calibration before set {due.set_index} failed: {error}") from error
             log.warning("self-calibration before set %d failed: %s", due.set_index, error)
-            told = {"failed": str(error)}
+            result = {"failed": str(error)}
         self._calibrated_ns = now_ns
-        self._persistence.say("self_calibrated", dict(told))
+        self._persistence.say("self_calibrated", dict(result))
 
     def _position_records(self, taken: TakenSet, cut_short_reason: str) -> list[PositionRecord]:
         return [

@@ -323,13 +323,13 @@ def _why_not_running(catalogue: RecorderCatalogue, beat: Beat | None, restart_re
     """Why nobody recorded until now, as far as the supervisor, the catalogue or the heartbeat know."""
     if restart_reason:
         return f"the recorder {restart_reason}"
-    told = catalogue.last_service_event(*PROCESS_EVENTS)
-    if told is not None and told.kind in FAREWELLS and (beat is None or beat.stage == "ended"):
-        return f"the recorder was {FAREWELLS[told.kind][1].partition(';')[0]}"
+    last_event = catalogue.last_service_event(*PROCESS_EVENTS)
+    if last_event is not None and last_event.kind in FAREWELLS and (beat is None or beat.stage == "ended"):
+        return f"the recorder was {FAREWELLS[last_event.kind][1].partition(';')[0]}"
     if beat is not None:
         return f"the recorder was down; it was last seen {beat.doing}"
-    if told is None:
+    if last_event is None:
         return "the recorder was starting"
-    seen_ns = max(told.utc_ns, catalogue.last_ended_utc_ns() or told.utc_ns)
+    seen_ns = max(last_event.utc_ns, catalogue.last_ended_utc_ns() or last_event.utc_ns)
     seen_h = (seen_ns - catalogue.experiment_row().epoch_utc_ns) / NS_PER_H
     return f"the recorder was down; it was last seen at hour {seen_h:.2f}"

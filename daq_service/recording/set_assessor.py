@@ -197,9 +197,9 @@ class SetAssessor:
         self._carry_alarm(recorder_condition("", due.due_h), moment, transaction)
         self.proven = self.proven or not (record.trouble or any(causes.values()))
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
-        for position, because in suspicions.items():
-            if because:
-                self.confirmations.request(because, due, position, standing, moment, transaction)
+        for position, reason in suspicions.items():
+            if reason:
+                self.confirmations.request(reason, due, position, standing, moment, transaction)
         return self._with_environment(due, moment, transaction)
 
     def _positions_of(self, due: DueSet) -> list[str]:
@@ -209,11 +209,11 @@ class SetAssessor:
     def _add_confirmation(self, position: str, transaction: Transaction, moment: Moment) -> None:
         """Let the alarm of a change that stands at a position say what its confirmation set says."""
         assessment = transaction.assessments[0] if transaction.assessments else None
-        told = asdict(summarize_confirmation(transaction.sets[0], assessment))
+        payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
         for kind in ALARMS_OF_CHANGE:
             row = self.alarms.get((position, kind))
             if row is not None and row.state != "normal":
-                transaction.add_alarm(add_evidence(row, {"confirmation": told}, moment), moment)
+                transaction.add_alarm(add_evidence(row, {"confirmation": payload}, moment), moment)
 
     def order_confirmation(
         self, planned: DueSet, position: str, author: str, note: str, moment: Moment
@@ -286,8 +286,8 @@ class SetAssessor:
         """Take in since when an alarm is held back and what is asked for, once that is stored."""
         self.confirmations.take_event(event)
         if event.kind == DELAY_EVENT:
-            told = event.payload
-            self._delayed_since_ns[(event.position, told["alarm_kind"])] = told["since_utc_ns"]
+            payload = event.payload
+            self._delayed_since_ns[(event.position, payload["alarm_kind"])] = payload["since_utc_ns"]
 
     def _with_environment(self, due: DueSet, moment: Moment, transaction: Transaction) -> Transaction:
         """Add what supply and climate probe said since the last set."""
@@ -372,8 +372,8 @@ class SetAssessor:
                 self._carry_alarm(condition, moment, transaction)
         if tried is not None and (tried.trouble is not None or tried.missed):
             unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
-            told = rig_condition(due, tried.instrument_error(), unanswered, proven=self.proven)
-            self._carry_alarm(told, moment, transaction)
+            payload = rig_condition(due, tried.instrument_error(), unanswered, proven=self.proven)
+            self._carry_alarm(payload, moment, transaction)
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
         if due.position is not None:
             self._add_confirmation(due.position, transaction, moment)

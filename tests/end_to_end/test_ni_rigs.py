@@ -70,7 +70,7 @@ def follow(running: DemoRig, folder: Path, notify: Callable[..., None] = lambda 
     """Run the schedule in this process."""
     prepare_data_folder(folder)
     with own_data_folder(folder):
-        return record(running.settings, folder, open_rig, stop=threading.Event(), tell=notify)
+        return record(running.settings, folder, open_rig, stop=threading.Event(), report=notify)
 
 
 def shot_features(folder: Path) -> dict[tuple[str, int, int], Mapping[str, Any]]:

@@ -96,7 +96,7 @@ def run(
             folder,
             open_rig,
             stop=stop,
-            tell=notify,
+            report=notify,
             listen_every_s=0.0,
             wall_clock=(clock or SteppedClock()).start,
         )

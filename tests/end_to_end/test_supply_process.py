@@ -165,7 +165,7 @@ class Test:
                 self.folder,
                 rig,
                 stop=stop or threading.Event(),
-                tell=notify,
+                report=notify,
                 listen_every_s=0.0,
                 wall_clock=wall_clock or SteppedClock().start,
                 remote_drive=drive,

@@ -263,7 +263,7 @@ class FilledFolder:
         due = unscheduled_set(1, planned, planned.due_utc_ns + 60 * NS_PER_S, position)
         transaction = Transaction()
         for author in authors:
-            asked = Confirmation(due=due, because=STEP, author=author).payload()
+            asked = Confirmation(due=due, reason=STEP, author=author).payload()
             moment = Moment(utc_ns=due.due_utc_ns, due_h=due.due_h, set_index=planned_set)
             transaction.add_event(CONFIRMATION_ASKED, asked, moment, position=position)
         its = {"set_index": due.set_index, "position": position, "due_h": due.due_h}

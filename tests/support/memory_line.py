@@ -246,7 +246,7 @@ class Line:
                 live=NoPicture(),
                 heartbeat=self.heartbeat,
                 stop=stop or threading.Event(),
-                tell=notify,
+                report=notify,
                 left_alone=left_alone,
                 mono_s=mono_s,
                 helpers=Helpers(

@@ -138,7 +138,7 @@ def record(
                     folder,
                     opened_by(opener),
                     stop=stop,
-                    tell=lambda event, **values: None,
+                    report=lambda event, **values: None,
                     acknowledged=acknowledged_ids.append,
                     compaction_worker=AtOnce,
                     wall_clock=partial(WallClock, system_ns=clock.ns, elapsed_ns=clock.ns, sleep=clock.sleep),

@@ -203,7 +203,7 @@ def audit_three(folder):
 
 def notify_three(folder):
     for receiver in ("ann", "ben", "cleo"):
-        DeliveryLog(folder).tell(Delivery(receiver=receiver, what="sent", told="a hole at B"))
+        DeliveryLog(folder).append(Delivery(receiver=receiver, what="sent", told="a hole at B"))
 
 
 @pytest.mark.parametrize(

@@ -119,7 +119,7 @@ def test_a_diagnosis_other_than_ok_has_its_own_line(filled: FilledFolder) -> Non
 
 
 def test_a_distance_of_another_set_is_not_shown_with_these_features(filled: FilledFolder) -> None:
-    filled.add_set(SETS, stored=False, judged=False)
+    filled.add_set(SETS, stored=False, assessed=False)
     row = line_of(status_of(filled), " B")
     assert "D²" not in row
     assert f" of {LIMIT_CHART}" not in row
@@ -240,7 +240,7 @@ def test_status_shows_the_quality_of_each_baseline(filled: FilledFolder) -> None
 
 def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path: Path) -> None:
     filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False, judged=False)
+    filled.add_set(0, stored=False, assessed=False)
     reason = "a baseline of 14 sets; it needs 15"
     nothing = {"limit_f": None, "distance_squared": None, "outlier": None, "reason": reason}
     filled.catalogue.commit_set(

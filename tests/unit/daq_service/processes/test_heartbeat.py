@@ -161,7 +161,7 @@ def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(
     (tmp_path / FILE_NAME).mkdir()
     clock, beats = FakeMonotonic(), []
     heartbeat = Heartbeat(
-        tmp_path, deadline_s=65.0, mono_ns=clock, tell=lambda event, **values: beats.append(beat_of(values))
+        tmp_path, deadline_s=65.0, mono_ns=clock, notify=lambda event, **values: beats.append(beat_of(values))
     )
     for number in range(3):
         heartbeat.beat(f"set {number}")

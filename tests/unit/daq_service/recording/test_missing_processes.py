@@ -142,7 +142,7 @@ def test_a_stored_set_clears_the_alarm_that_another_process_raised(tmp_path: Pat
         if when == "while it runs" and event == "begun":
             raise_in_its_absence(line)
 
-    assert line.run(tell=report)
+    assert line.run(notify=report)
     assert events(line) == [("recorder_not_running", "alarm_cleared")]
     with line.catalogue() as catalogue:
         (row,) = catalogue.rows(AlarmRow, kind="recorder_not_running")
@@ -157,7 +157,7 @@ def test_a_command_applies_to_the_alarm_of_another_process(tmp_path: Path) -> No
             raise_in_its_absence(line)
 
     line.order("acknowledge_alarm", alarm_id=1, note="seen")
-    line.run(tell=report)
+    line.run(notify=report)
     with line.catalogue() as catalogue:
         (row,) = catalogue.rows(AlarmRow, kind="recorder_not_running")
     assert (row.id, row.state, row.acknowledged_by) == (1, "acknowledged", "Ada")

@@ -618,7 +618,7 @@ def test_a_failed_write_of_a_shot_is_reported_before_the_next_strike(line):
         return sync()
 
     def script(key):
-        strikes.append((key.position, key.shot_index, line.heartbeat.told[-1:]))
+        strikes.append((key.position, key.shot_index, line.heartbeat.activities[-1:]))
         return healthy(key)
 
     archive.sync, line.script = refusing, script
@@ -728,7 +728,7 @@ def test_a_dry_run_raises_no_alarm_repeats_no_strike_and_is_marked(line):
 
 def test_the_heartbeat_names_each_activity(line):
     line.run()
-    activities = line.heartbeat.told
+    activities = line.heartbeat.activities
     assert (
         activities.index("taking set 1")
         < activities.index("storing set 1")
@@ -738,7 +738,7 @@ def test_the_heartbeat_names_each_activity(line):
 
 def test_a_waiting_recorder_sends_heartbeats(line):
     line.run()
-    activities = line.heartbeat.told
+    activities = line.heartbeat.activities
     waits = [f"waiting for set {index}" for index in range(SETS)]
     assert [doing for doing in dict.fromkeys(activities) if doing in waits] == waits
 

@@ -440,7 +440,7 @@ def test_gaps_and_alarms_are_reported_after_they_are_stored(line):
         if event in ("alarm", "gap") and "nothing is judged" not in values.get("message", ""):
             reports.append((event, values, len(line.alarms()), len(line.rows("sets", "D"))))
 
-    line.run(tell=report)
+    line.run(notify=report)
     gap, alarm = reports
     assert gap[0] == "gap"
     assert (gap[1]["set_index"], gap[1]["state"], gap[1]["positions"]) == (3, "missed", ["D"])

@@ -99,7 +99,7 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
         )
         line = Line(folder, settings=settings, script=script, heartbeat=heartbeat)
         heartbeat.beat("opening the rig")
-        assert line.run(clock=clock, tell=report_and_notify)
+        assert line.run(clock=clock, notify=report_and_notify)
         manager.hear()
     manager.hear()
     return events

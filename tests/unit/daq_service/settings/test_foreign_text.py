@@ -60,9 +60,9 @@ def test_no_control_character_reaches_a_terminal(capsys, monkeypatch):
 
 
 def test_an_event_of_a_running_test_is_one_line(capsys):
-    with ProgressReport() as telling:
-        telling("alarm", change="alarm_raised", hour=1.0, severity="critical", message=EVIL)
-        telling("waits", why=EVIL)
+    with ProgressReport() as reporting:
+        reporting("alarm", change="alarm_raised", hour=1.0, severity="critical", message=EVIL)
+        reporting("waits", why=EVIL)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 2
     assert not any("\x1b" in line for line in lines)

@@ -201,7 +201,7 @@ def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_
 
             return acted
 
-        bench.log.tell = crashing(bench.log.tell)
+        bench.log.append = crashing(bench.log.append)
         bench._send = crashing(bench._send)
         bench.restarted()
         wanted = [bench.alarms.change(kind) for kind in ("hole", "no_data", "thickness")]
