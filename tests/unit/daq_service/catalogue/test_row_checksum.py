@@ -118,6 +118,6 @@ def test_a_row_without_what_it_refers_to_is_told(folder):
     columns = "id, set_index, position, sequence, due_h, extractor_version, quality, row_crc32"
     values = f"1, 3, 'A', 5, 2.0, '1', 'bad', {row_crc32(row)}"
     change(folder, f"INSERT INTO thickness ({columns}) VALUES ({values})")
-    assert [damage.told for damage in catalogue_corruption(folder)] == [
+    assert [damage.description for damage in catalogue_corruption(folder)] == [
         "row 1 of table thickness lacks its row of shots"
     ]

@@ -101,8 +101,8 @@ def test_an_answer_is_its_row_with_times_as_text_and_an_age(kind):
     model = getattr(models, kind.__name__)
     assert model.model_validate(answer, strict=True).model_dump(exclude_unset=True) == answer
     for column in rows.columns_of(kind):
-        if column.told is not None:
-            assert model.model_fields[column.name].description == column.told
+        if column.description is not None:
+            assert model.model_fields[column.name].description == column.description
 
 
 def test_an_event_tells_a_row_without_an_id_that_is_not_given_out():
