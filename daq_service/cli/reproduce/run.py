@@ -63,7 +63,7 @@ def reproduce(
         executor = stack.enter_context(one_worker())
         try:
             result, finished = reproduce_into(
-                folder, items, data_dir=data_dir, seed=seed, executor=executor, stop=stop, say=report
+                folder, items, data_dir=data_dir, seed=seed, executor=executor, stop=stop, report=report
             )
         finally:
             executor.shutdown(wait=False, cancel_futures=True)
