@@ -60,7 +60,7 @@ def made(
         seed=None,
         executor=executor,
         stop=threading.Event(),
-        say=lambda _: None,
+        report=lambda _: None,
     )
 
 
@@ -427,7 +427,7 @@ def test_an_interruption_leaves_what_is_finished(executor: Executor, tmp_path: P
         seed=None,
         executor=executor,
         stop=stop,
-        say=say,
+        report=say,
     )
     assert not finished
     assert (result["interrupted"], result["missing"]) == (True, ["table2"])
