@@ -228,7 +228,7 @@ def is_noted_of_now(page, api, filled):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """What a person wants to know or do.
+    """Task of a user: a question or an operation.
 
     Attributes
     ----------

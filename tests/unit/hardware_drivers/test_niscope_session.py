@@ -130,7 +130,7 @@ def test_a_board_that_refuses_to_be_closed_is_closed_at_the_second_try():
         pass
 
     class Refusing:
-        """As NI's session: it forgets its handle before the driver refuses."""
+        """Substitute for NI's session that loses its handle before the driver refuses."""
 
         handle, closed = 7, []
 

@@ -12,7 +12,7 @@ LATER_S = 1e9
 
 
 class Answering:
-    """A port whose instrument says one thing to every question."""
+    """Port whose instrument sends one reply to every query."""
 
     in_waiting = 65_536
 
