@@ -1,4 +1,4 @@
-"""What people come for: ten tasks, from the page as it opens to the answer, in three clicks at most."""
+"""Ten user tasks, from the opened page to the answer in three clicks at most."""
 
 import csv
 import math

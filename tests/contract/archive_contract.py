@@ -1,4 +1,4 @@
-"""What every archive must do: inherit `ArchiveContract` and give its fixtures."""
+"""Contract of every archive: inherit `ArchiveContract` and return its fixtures."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Receivers of notifications on this machine: HTTP servers that answer, stall or refuse as a test says."""
+"""Receivers of notifications on this machine: HTTP servers that answer, stall or refuse on request."""
 
 from __future__ import annotations
 

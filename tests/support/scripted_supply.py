@@ -1,4 +1,4 @@
-"""A supply that says what a test wants, and notes everything that is asked of it."""
+"""A scripted supply that records its commands."""
 
 from __future__ import annotations
 

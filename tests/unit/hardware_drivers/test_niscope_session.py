@@ -1,4 +1,4 @@
-"""What the driver makes of an acquisition that claims success but cannot be one."""
+"""Errors for an acquisition that reports success with inconsistent data."""
 
 import math
 from contextlib import nullcontext

@@ -1,4 +1,4 @@
-"""What an answer means, on a line whose other end is a table."""
+"""Parsing of replies, on a line whose other end is a table."""
 
 import pytest
 
