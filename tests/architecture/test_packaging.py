@@ -1,4 +1,4 @@
-"""What is installed is pinned, also elsewhere; what it may be used for is listed."""
+"""Pinned packages, also for other systems, and the table of licences."""
 
 import re
 import tomllib

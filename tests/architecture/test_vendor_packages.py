@@ -40,7 +40,7 @@ for config, folder, missing in json.load(sys.stdin):
 
 @dataclass(frozen=True, slots=True)
 class Recorded:
-    """What `solimon record` said, and which of the missing packages it asked for."""
+    """Output of `solimon record`, and the missing packages that it imported."""
 
     code: int
     stderr: str

@@ -1,4 +1,4 @@
-"""The dashboard in a headless browser: what it draws is what the API says, without a reload."""
+"""The dashboard in a headless browser: it draws the data of the API without a reload."""
 
 import itertools
 import re

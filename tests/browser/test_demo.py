@@ -36,7 +36,7 @@ QUICK = {
 
 
 class Demo:
-    """The running command and its lines."""
+    """Running command and its lines."""
 
     def __init__(self, folder, cache):
         self.process = subprocess.Popen(

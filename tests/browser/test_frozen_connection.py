@@ -19,7 +19,7 @@ BEAT_S = 0.5
 
 
 class Tunnel(socketserver.ThreadingTCPServer):
-    """Leads to a service. Frozen, it takes connections and data and passes nothing on; those stay dead."""
+    """Tunnel to a service; frozen, it accepts connections and data and forwards nothing."""
 
     daemon_threads = True
     block_on_close = False

@@ -70,7 +70,7 @@ def page(service, browser):
 
 
 class TestSets:
-    """Opened on one page, each from the view that it opens with."""
+    """Sets opened on one page, each from its own view."""
 
     def test_one_click_on_a_point_opens_its_set_with_everything_about_it(self, filled, service, page):
         show(page)

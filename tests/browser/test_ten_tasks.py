@@ -1,4 +1,4 @@
-"""What people come for: ten tasks, from the page as it opens to the answer, in three clicks at most."""
+"""Ten user tasks, from the opened page to the answer in three clicks at most."""
 
 import csv
 import math
@@ -228,7 +228,7 @@ def is_noted_of_now(page, api, filled):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Task:
-    """What a person wants to know or do.
+    """Task of a user: a question or an operation.
 
     Attributes
     ----------

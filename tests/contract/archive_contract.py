@@ -1,4 +1,4 @@
-"""What every archive must do: inherit `ArchiveContract` and give its fixtures."""
+"""Contract of every archive: inherit `ArchiveContract` and return its fixtures."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from daq_service.archive import (
 
 
 class ArchiveContract:
-    """Whole sets, acknowledged once and for all, read back to the last bit."""
+    """Contract of complete sets: acknowledged for good, read back to the last bit."""
 
     @pytest.fixture
     def archive(self) -> Archive:
@@ -216,7 +216,7 @@ class ArchiveContract:
 
 
 class JournalContract(ArchiveContract):
-    """Records acknowledged one by one, before their set."""
+    """Contract of records that are acknowledged one by one, before their set."""
 
     def begin(self, archive, n_records):
         """Store the first records of the set, and its missed shots, as a recorder does."""

@@ -73,7 +73,7 @@ class TestFolderArchive(OnDisk, ArchiveContract):
 
 
 class TestJournal(OnDisk, JournalContract):
-    """Sets that have no file yet: their records lie in the journal alone."""
+    """Sets without a file: their records are in the journal only."""
 
     @pytest.fixture
     def archives(self):

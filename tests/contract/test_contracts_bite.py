@@ -299,7 +299,7 @@ class Toggles(SoundSupply):
 
 
 class Recovers(SoundSupply):
-    """Switches itself on again after a while, as some supplies do after a fault."""
+    """Supply that switches itself on again after a while, as some do after a fault."""
 
     def read(self, timeout_s):
         reading = super().read(timeout_s)

@@ -1,4 +1,4 @@
-"""What people open the files with: every reader finds the same names, units and numbers."""
+"""Common file readers: each finds the same names, units and numbers."""
 
 import shutil
 import subprocess

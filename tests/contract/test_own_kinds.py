@@ -29,7 +29,7 @@ on_terminals = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "th
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Own:
-    """One of our kinds with its double."""
+    """Built-in kind with its double."""
 
     name: str
     table: dict[str, Any]
@@ -92,7 +92,7 @@ def text_climate(serial_rig):
 
 
 class OfOurs:
-    """What the rules ask for."""
+    """Answers to the queries of the conformance rules."""
 
     @pytest.fixture
     def kind(self, own: Own) -> Kind[Any]:

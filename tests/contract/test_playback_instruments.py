@@ -102,7 +102,7 @@ class TestRecordedPulseEchoUnit(PulseEchoUnitContract):
 
 
 class TestRecordedClock(ClockContract):
-    """Recorded moments a little after every fourth second."""
+    """Recorded times a little after every fourth second."""
 
     AHEAD_S = 0.0
 

@@ -133,7 +133,7 @@ def answers(url: str) -> bool:
 
 @dataclass(frozen=True, slots=True)
 class Demo:
-    """A demo with its dashboard, whose first set is in."""
+    """Demo with its dashboard, whose first set is stored."""
 
     process: subprocess.Popen[str]
     folder: Path

@@ -1,4 +1,4 @@
-"""What the documentation says can be run, is run; what it points at exists."""
+"""The runnable parts of the documentation run; its links lead to existing targets."""
 
 import contextlib
 import io

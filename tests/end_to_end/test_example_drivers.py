@@ -111,7 +111,7 @@ def test_a_mixed_rig_takes_a_set_by_the_example_s_scope_and_a_counter_of_ni(
         meet(doubles, monkeypatch)
 
         class ScopeNextToTheChassis(ScopeDouble):
-            """A scope whose transducer is struck by the coil at the counter of a board."""
+            """Scope whose transducer is struck by the coil at the counter of a board."""
 
             strikes = 0
 

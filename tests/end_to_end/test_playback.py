@@ -75,7 +75,7 @@ def test_an_archive_played_back_is_the_same_test_to_the_last_bit(recording, tmp_
 
 
 class LateClock:
-    """Strikes a little after each planned time, as a machine with other work does."""
+    """Clock that strikes a little after each scheduled time, as on a busy machine."""
 
     def __init__(self, clock: Any) -> None:
         self._clock = clock

@@ -89,7 +89,7 @@ def missed(acquired: Acquired) -> Acquired:
 
 
 class OrderingClock:
-    """The recorder's clock, and an operator who writes orders at chosen hours of the test.
+    """Clock of the recorder, with an operator who writes commands at chosen hours of the test.
 
     Late ones come when the hour is reached: the recorder hears them at its next look.
     """
@@ -290,7 +290,7 @@ def test_a_flag_that_is_not_configured_is_not_repeated(tmp_path: Path) -> None:
 
 
 class _KilledError(BaseException):
-    """Stands for SIGKILL: nothing may catch it to tidy up."""
+    """Substitute for SIGKILL, which no code may catch to clean up."""
 
 
 def test_rows_made_from_an_orphaned_file_are_those_of_the_recorder(

@@ -265,7 +265,7 @@ def test_a_stop_within_a_set_costs_no_strike(pair: dict[str, Any], tmp_path: Pat
 
 
 class _KilledError(BaseException):
-    """Stands for SIGKILL: nothing may catch it to tidy up."""
+    """Substitute for SIGKILL, which no code may catch to clean up."""
 
 
 @pytest.mark.parametrize(
@@ -461,7 +461,7 @@ def test_a_folder_of_another_configuration_is_refused_untouched(tmp_path: Path) 
 
 
 class _LateClock:
-    """A wall clock on which the experiment has been running, unattended, for some hours."""
+    """Wall clock on which the experiment has been running, unattended, for some hours."""
 
     def __init__(self, clock: Clock, late_ns: int) -> None:
         self._clock = clock

@@ -24,7 +24,7 @@ END_H = 2.0
 
 
 class Unwilling:
-    """Refuses to open a number of times, then gives the twin."""
+    """Opener that refuses a number of times, then opens the twin."""
 
     def __init__(self, *refusals: Exception, on_refusal: Any = None) -> None:
         self.refusals = list(refusals)

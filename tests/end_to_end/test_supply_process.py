@@ -122,7 +122,7 @@ def without_supply(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Itera
 
 @dataclass
 class Test:
-    """A test's folder and its supply, with recorders in this process and the drive in its own."""
+    """Folder of a test and its supply, with recorders in this process and a supply process."""
 
     __test__ = False
 

@@ -24,11 +24,11 @@ CALLS_OF_A_SET = ["open", "write", "fsync", "close", "replace", "open", "fsync",
 
 
 class Killed(BaseException):
-    """The process ends here: nothing after it runs."""
+    """End of the process: nothing after it runs."""
 
 
 class Disk:
-    """`os` as `shared_file` sees it.
+    """`os` as used by `shared_file`.
 
     Parameters
     ----------
@@ -176,7 +176,7 @@ def test_a_process_that_ends_between_two_calls_leaves_the_set_whole_or_absent(
 
 
 class RecordingDisk(Disk):
-    """Writes down what was asked of the disk, so that a power cut can be replayed after each call."""
+    """Log of the disk calls, to replay a power cut after each of them."""
 
     def __init__(self) -> None:
         super().__init__()

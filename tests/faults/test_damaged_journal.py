@@ -22,11 +22,11 @@ KILLED_AFTER = A_SET + 5
 
 
 class Killed(BaseException):
-    """The process ends here."""
+    """End of the process."""
 
 
 class NoWorker:
-    """Makes no file: sets stay in the journal."""
+    """Worker that writes no file: sets stay in the journal."""
 
     def submit(self, *_):
         return Future()

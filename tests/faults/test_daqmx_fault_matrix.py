@@ -76,7 +76,7 @@ CANNOT_BE_CLEARED = {"DAQmxCreateTask", "DAQmxCreateWatchdogTimerTaskEx", "DAQmx
 
 @dataclass(frozen=True)
 class Call:
-    """One distinct call of the fault-free shot: where it is made, which entry point, what about."""
+    """One distinct call of the fault-free shot: phase, entry point and subject."""
 
     phase: str
     function: str
@@ -89,7 +89,7 @@ class Call:
 
 @dataclass
 class Laboratory:
-    """A double, the driver's parameters for it, and how to put another double in its place."""
+    """Double, the driver's parameters for it, and a replacement for a dead double."""
 
     brain: RunningBrain
     parameters: DaqmxParameters
@@ -119,7 +119,7 @@ class Laboratory:
 
 @dataclass
 class Outcome:
-    """What came of a line of shots."""
+    """Result of a line of shots."""
 
     errors: list[InstrumentError] = field(default_factory=list)
     records: list[tuple[ShotKey, Acquired]] = field(default_factory=list)

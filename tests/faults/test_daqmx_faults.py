@@ -1,4 +1,4 @@
-"""What goes wrong with NI-DAQmx boards, one by one: the error, the coil, and the way back.
+"""Single faults of NI-DAQmx boards: the error, the coil, and the recovery.
 
 `test_daqmx_fault_matrix` goes through every call; here are the faults a laboratory meets by name.
 """

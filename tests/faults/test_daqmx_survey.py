@@ -1,4 +1,4 @@
-"""What `solimon doctor` learns of the boards: every answer with its state, and nothing strikes."""
+"""The survey of the boards by `solimon doctor`: every finding with its state, and no strike."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ CURRENT_A = 8.5 / 40.0
 
 
 class DriveRig(SerialRig):
-    """A drive on the doubles, ticked as by an idle recorder."""
+    """Supply on the doubles, ticked as by an idle recorder."""
 
     def __init__(self, folder, **supply):
         super().__init__(folder, **supply)

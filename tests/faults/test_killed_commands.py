@@ -96,7 +96,7 @@ LONGEST_LIFE_S = 0.5
 
 
 class Processes:
-    """Recorder and web service of one folder, each started again where it is gone."""
+    """Recorder and web service of one folder, each restarted when it is gone."""
 
     def __init__(self, config: Path, folder: Path) -> None:
         self.folder, self.url, self.kills = folder, "", Counter[str]()
@@ -139,7 +139,7 @@ class Processes:
 
 
 class Client(threading.Thread):
-    """Gives one order after the other, and looks what becomes of it, while the service comes and goes."""
+    """Client that sends consecutive commands and checks their results while the service restarts."""
 
     def __init__(self, processes: Processes) -> None:
         super().__init__()

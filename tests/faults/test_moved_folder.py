@@ -25,7 +25,7 @@ def test_sets_wait_for_the_tests_own_folder(tmp_path, impostor):
         return acquired
 
     class BringBack(logging.Handler):
-        """A person who reads that nothing is stored."""
+        """Person who reads that nothing is stored and restores the folder."""
 
         def emit(self, record):
             if "not stored" in record.getMessage() and elsewhere.exists():

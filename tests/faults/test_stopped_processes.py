@@ -59,7 +59,7 @@ if "record" in sys.orig_argv and os.path.exists(os.environ["BREAKS"]):
 
 
 class Processes:
-    """A test's processes, started with the command line."""
+    """Processes of a test, started from the command line."""
 
     def __init__(self, folder: Path, url: str, stack: ExitStack) -> None:
         self.folder, self.data, self.breaks = folder, folder / "data", folder / "breaks"

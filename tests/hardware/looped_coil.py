@@ -17,7 +17,7 @@ AFTER_S = 0.02
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Loopback:
-    """A coil's output wired to an input of its own board.
+    """Output of a coil wired to an input of its own board.
 
     Attributes
     ----------

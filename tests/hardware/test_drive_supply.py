@@ -35,7 +35,7 @@ TRIPS_WITHIN = 20
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Load:
-    """A resistor at the output, and what it is given."""
+    """Resistor at the output, with its voltage and current."""
 
     resistance_ohm: float
     parameters: SupplyParameters

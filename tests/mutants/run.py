@@ -45,7 +45,7 @@ LOADED_ONCE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Mutant:
-    """One fault."""
+    """One committed fault."""
 
     name: str
     patch: Path

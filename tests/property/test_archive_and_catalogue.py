@@ -39,7 +39,7 @@ sets = st.sampled_from(INDICES)
 
 
 class Killed(BaseException):
-    """The process ends here."""
+    """End of the process."""
 
 
 # Rows of the catalogue: the only lines that know their form.
@@ -85,7 +85,7 @@ def impossible():
 
 
 class ArchiveAndCatalogue(RuleBasedStateMachine):
-    """A recorder's folder, a reader that stays open, and what both must show."""
+    """Folder of a recorder, a reader that stays open, and what both must show."""
 
     @initialize()
     def begin(self):

@@ -70,7 +70,7 @@ def recorded_set(kinds, lateness_ns, echo):
 
 
 class RecordedSet(ShotsBySet):
-    """One set, and which shots were struck in it."""
+    """One set, and the shots struck in it."""
 
     def __init__(self, records, struck):
         super().__init__(POSITIONS, lambda set_index: records)

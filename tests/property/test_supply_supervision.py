@@ -56,7 +56,7 @@ LONGEST_S = PLAIN.unwatched_s + POLL_S + REPLACED_WITHIN_S + ROUNDS_S
 
 
 class Process:
-    """A process of the drive."""
+    """Process that may drive the supply."""
 
     def __init__(self, world: "World", parameters: SupplyParameters) -> None:
         self.world, self.stalled = world, False
@@ -101,7 +101,7 @@ class Process:
 
 
 class Started:
-    """What a start returns: it has come up, or not yet."""
+    """Result of a start: running, or not yet."""
 
     def __init__(self, world: "World", parameters: SupplyParameters) -> None:
         self.world, self.parameters, self.returncode = world, parameters, None
@@ -112,7 +112,7 @@ class Started:
 
 
 class World:
-    """Supply, processes of the drive, and the folder that they share."""
+    """Supply, its processes, and the folder that they share."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.clock = folder, TestClock()
@@ -168,7 +168,7 @@ class World:
 
 
 class Supervision(RuleBasedStateMachine):
-    """While anything runs that can, an output that no command wants is off in time."""
+    """Rule: while any capable process runs, an output without a command is off in time."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -383,6 +383,6 @@ TestSupervision.settings = _settings(20)
 
 @pytest.mark.slow
 class TestSupervisionAtLength(Supervision.TestCase):  # type: ignore[name-defined,misc]
-    """The same, 500 times."""
+    """The same rules, 500 times."""
 
     settings = _settings(500)

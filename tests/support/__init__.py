@@ -1,1 +1,1 @@
-"""What tests share: rigs, brains, folders and records made for them."""
+"""Shared rigs, brains, folders and records for tests."""

@@ -22,7 +22,7 @@ def waveform(samples=20, pretrigger=5):
 
 
 class SoundDigitizer:
-    """Keeps the contract; each subclass below breaks it in one place."""
+    """Digitizer that keeps the contract; each subclass below breaks one rule."""
 
     def __init__(self):
         self.armed = None

@@ -1,4 +1,4 @@
-"""A headless Chromium, pages that may not complain, what the dashboard says, assertions that wait."""
+"""A headless Chromium, pages without errors, the state of the dashboard, assertions that wait."""
 
 from __future__ import annotations
 

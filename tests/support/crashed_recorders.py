@@ -143,7 +143,7 @@ def record(
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
-    """What a finished test has come to.
+    """Result of a finished test.
 
     Attributes
     ----------

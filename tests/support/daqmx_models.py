@@ -42,7 +42,7 @@ def context() -> multiprocessing.context.BaseContext:
 
 
 class RunningBrain(RunningDoubles):
-    """A double in a forked process."""
+    """Double in a forked process."""
 
     def kill(self) -> None:
         """End the process at once, as a crash of the driver would."""
@@ -51,7 +51,7 @@ class RunningBrain(RunningDoubles):
 
 
 class _Ends:
-    """Standard input and output of a double, at a pipe: it says one line and then waits for the end."""
+    """Standard input and output of a double at a pipe: one line, then a wait for the end."""
 
     def __init__(self, pipe: Connection) -> None:
         self._pipe = pipe

@@ -187,7 +187,7 @@ def functions_of(record: Mapping[str, Any]) -> list[str]:
 
 
 class Forwarder:
-    """A fixed address in front of a server that may be killed and started again elsewhere."""
+    """Fixed address in front of a server that may be killed and restarted elsewhere."""
 
     def __init__(self, target: str) -> None:
         self.target = target

@@ -46,7 +46,7 @@ def one_board_description(twin: TwinParameters | None = None) -> Description:
 
 
 class SteppedClock:
-    """Time that passes only during a wait, and then at once up to the next thing to happen."""
+    """Clock that advances only during a wait, at once to the next event."""
 
     def __init__(self, now_ns: int = 1_000_000_000) -> None:
         self.time_ns = now_ns
@@ -63,7 +63,7 @@ class SteppedClock:
 
 
 class Caller:
-    """One client of a brain in this process: C names without their prefix, arguments by name."""
+    """Client of a brain in this process: C names without prefix, arguments by name."""
 
     DEFAULTS: Mapping[str, Mapping[str, Any]] = {
         "CreateTask": {"session_name": ""},

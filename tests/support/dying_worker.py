@@ -1,4 +1,4 @@
-"""What a worker does that is killed in the midst of its answer."""
+"""Worker functions that are killed while they answer."""
 
 import os
 import signal

@@ -8,7 +8,7 @@ from daq_service.archive.finalize_set import compact_set
 
 
 class FiledArchive(FolderArchive):
-    """Gives each set its file as soon as it is stored, and holds nothing open."""
+    """Archive that writes each set to its file at once, and holds nothing open."""
 
     def store_set(self, record: SetRecord) -> StoredSet:
         stored = super().store_set(record)

@@ -78,7 +78,7 @@ def frozen_baseline(position: str, **columns: object) -> BaselineRow:
 
 
 class FilledFolder:
-    """Adds sets as a recorder would: file first, then rows and events in one transaction."""
+    """Data folder that gets sets as from a recorder: file first, then rows and events."""
 
     def __init__(
         self, folder: Path, settings: Settings, *, shots_per_set: int = 1, exists: bool = False

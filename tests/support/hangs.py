@@ -18,7 +18,7 @@ GRACE_S = 120.0
 
 
 class HangGuard:
-    """Watches each test from a thread that needs no Python to run."""
+    """Watchdog for each test, in a thread that needs no Python to run."""
 
     def __init__(self, grace_s: float = GRACE_S) -> None:
         self._grace_s = grace_s

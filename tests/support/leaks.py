@@ -58,7 +58,7 @@ def _lines_to_servants() -> set[str]:
 
 
 class _Looker:
-    """What this process holds; of processes seen before only whether they still run is asked again."""
+    """Scanner of the resources of this process; known processes are only checked for life."""
 
     def __init__(self) -> None:
         self._strangers: set[str] = set()
@@ -134,7 +134,7 @@ def _connected() -> set[str]:
 
 
 class LeakGuard:
-    """Compares what is there after each test with what was there before it."""
+    """Comparison of the resources before and after each test."""
 
     def __init__(self, grace_s: float = GRACE_S) -> None:
         self._grace_s = grace_s

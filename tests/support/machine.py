@@ -11,7 +11,7 @@ NS_PER_H = 3600 * NS_PER_S
 
 
 class Machine:
-    """Its system's UTC, the time elapsed in its boot, and what happens to them.
+    """Computer with its UTC, the time elapsed since its boot, and scheduled events.
 
     Parameters
     ----------

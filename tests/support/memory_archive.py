@@ -31,7 +31,7 @@ NO_TIME = StoreTimings(image_s=0.0, fsync_s=0.0)
 
 @dataclass(slots=True)
 class Shelf:
-    """What outlives an archive's process: its stored sets, and what of them is damaged."""
+    """Data that survive an archive's process: its stored sets, and which of them are corrupt."""
 
     sets: dict[SetReference, SetRecord] = field(default_factory=dict)
     open: dict[int, OpenSet] = field(default_factory=dict)
@@ -40,7 +40,7 @@ class Shelf:
 
 
 class MemoryArchive:
-    """Keeps `Archive`'s promises, but for surviving the process.
+    """Archive in memory that keeps the contract, except for surviving the process.
 
     Parameters
     ----------

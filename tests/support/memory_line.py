@@ -104,7 +104,7 @@ def silent(flag: str = "no_psw") -> ShotFeatures:
 
 
 class ScriptedInstruments:
-    """Striker, digitizer and pulse-echo unit that answer by a script and note what was asked of them."""
+    """Striker, digitizer and pulse-echo unit that follow a script and log their calls."""
 
     def __init__(self, script: Script) -> None:
         self.script = script
@@ -179,7 +179,7 @@ class NoPicture:
 
 @dataclass
 class Line:
-    """A test's data folder, and every recorder that runs on it, one after the other."""
+    """Data folder of a test, and the consecutive recorders on it."""
 
     folder: Path
     settings: Settings = field(default_factory=memory_settings)

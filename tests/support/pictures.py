@@ -40,7 +40,7 @@ COLOURS = 64
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Picture:
-    """One picture.
+    """One figure of the documentation.
 
     Attributes
     ----------

@@ -22,7 +22,7 @@ CONTROL = re.compile(r"\x1b\[(\??)([\d;]*)([A-Za-z])|([\r\n\x07])|([^\x1b\r\n\x0
 
 
 class PseudoTerminal:
-    """A running command; everything that it writes is kept."""
+    """Running command with all its output."""
 
     def __init__(self, process: subprocess.Popen[bytes], screen: int) -> None:
         self.process = process

@@ -1,4 +1,4 @@
-"""Receivers of notifications on this machine: HTTP servers that answer, stall or refuse as a test says."""
+"""Receivers of notifications on this machine: HTTP servers that answer, stall or refuse on request."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from support.waiting import WAIT_S, MachineTooSlowError
 
 @dataclass(frozen=True, slots=True)
 class Got:
-    """A request, with its bytes as they came."""
+    """Request with its bytes as received."""
 
     headers: Mapping[str, str]
     body: bytes
@@ -31,7 +31,7 @@ class Got:
 
 @dataclass
 class HttpReceiver:
-    """Answers what is queued in `answers` (status, headers), then 204; `silent` answers to nothing."""
+    """Receiver that sends the queued `answers` (status, headers), then 204; `silent` sends none."""
 
     url: str
     got: queue.Queue[Got] = field(default_factory=queue.Queue)

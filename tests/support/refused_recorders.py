@@ -69,7 +69,7 @@ def refusal_settings() -> Settings:
 
 
 class Time:
-    """The machine's clocks, advanced by each sleep; ``look`` is called at each step."""
+    """Clocks of the machine, advanced by each sleep; ``look`` is called at each step."""
 
     def __init__(self) -> None:
         self.now_ns = parse_utc("2026-01-01T00:00:00Z")
@@ -159,7 +159,7 @@ def begin(folder: Path) -> None:
 
 
 class FirstReport(logging.Handler):
-    """When something was said for the first time after the first refusal, on the injected clock."""
+    """Log handler that keeps the time of the first message after the first refusal."""
 
     def __init__(self, clock: Time, refusals: Callable[[], int]) -> None:
         super().__init__(logging.WARNING)

@@ -30,7 +30,7 @@ def notifying(receivers: dict[str, Any] | None = None, **further: Any) -> Settin
 
 
 class Alarms:
-    """Raises alarms and ends them as a recorder does, at the wall time of `now_ns`."""
+    """Alarms raised and ended as by a recorder, at the wall time of `now_ns`."""
 
     def __init__(self, folder: Path, now_ns: Callable[[], int]) -> None:
         self.catalogue = new_catalogue(folder)
@@ -76,7 +76,7 @@ class Alarms:
 
 
 class Bench:
-    """One receiver called duty: `run` lets time pass, `sent` is what went out."""
+    """Bench with one receiver called duty: `run` lets time pass, `sent` is what was sent."""
 
     def __init__(self, folder: Path, settings: Settings | None = None) -> None:
         self.folder, self.settings = folder, settings or notifying()

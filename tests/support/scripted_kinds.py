@@ -17,7 +17,7 @@ from support.synthetic_records import Scene
 
 
 class ScopeParameters(BaseModel):
-    """A scope that answers each strike with the same wave."""
+    """Parameters of a scope that answers each strike with the same wave."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
@@ -26,20 +26,20 @@ class ScopeParameters(BaseModel):
 
 
 class LevelledParameters(ScopeParameters):
-    """A scope with a trigger of its own."""
+    """Parameters of a scope with its own trigger."""
 
     trigger_level_v: float = Field(default=0.05, gt=0.0)
 
 
 class NoParameters(BaseModel):
-    """None."""
+    """Empty parameters."""
 
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
 @dataclass
 class Script:
-    """What the scripted instruments do, and what was done to them."""
+    """Script of the instruments, and the log of their calls."""
 
     events: list[str] = field(default_factory=list)
     openings: list[Opening] = field(default_factory=list)
@@ -94,7 +94,7 @@ class Scope:
 
 
 class Hammer:
-    """A person with a hammer: asked, never energised."""
+    """Person with a hammer: prompted, never energized."""
 
     def __init__(self, opening: Opening) -> None:
         self._opening = opening
@@ -108,7 +108,7 @@ class Hammer:
 
 
 class Relay:
-    """A relay at a counter that another program pulses: here by NI's package itself."""
+    """Relay at a counter that another program pulses: here NI's package itself."""
 
     def strike(self, key: ShotKey) -> None:
         import nidaqmx

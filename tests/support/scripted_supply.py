@@ -1,4 +1,4 @@
-"""A supply that says what a test wants, and notes everything that is asked of it."""
+"""A scripted supply that records its commands."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hardware_drivers.measurement import SupplyReading
 
 
 class ScriptedSupply:
-    """On or off, at 10 V; ``error`` is what it answers."""
+    """Supply that is on or off, at 10 V; ``error`` is its answer."""
 
     tripped_protections = ()
     protection_unknown = ""

@@ -26,7 +26,7 @@ REPLY_TIMEOUT_S = READ_TIMEOUT_S = 60.0
 
 
 class DeadlineClock:
-    """The machine's monotonic time, moved past every deadline when an answer is withheld."""
+    """Monotonic clock of the machine, moved past every deadline when an answer is withheld."""
 
     def __init__(self) -> None:
         self._ahead_s = 0.0
@@ -42,7 +42,7 @@ class DeadlineClock:
 
 
 class TestClock:
-    """Time that passes when a test says so; stamps differ all the same."""
+    """Clock that the test advances; its stamps still differ."""
 
     __test__ = False
 
@@ -69,7 +69,7 @@ class TestClock:
 
 
 class SerialRig:
-    """Doubles on pseudo terminals in a folder, or on sockets, and the drivers that speak with them."""
+    """Doubles on pseudo terminals in a folder, or on sockets, with their drivers."""
 
     def __init__(
         self,

@@ -54,7 +54,7 @@ def small_settings(**tables: Mapping[str, Any]) -> Settings:
 
 
 class AtOnce(Executor):
-    """Does what it is asked in this thread: no process has to start."""
+    """Executor that runs in this thread: no process has to start."""
 
     def submit(self, work: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
         future: Future[Any] = Future()
@@ -116,7 +116,7 @@ def rows_of(folder: Path) -> dict[str, Sequence[Any]]:
 
 
 class DisturbedDigitizer:
-    """The twin's digitizer with something wrong at chosen shots."""
+    """Digitizer of the twin with a disturbance at chosen shots."""
 
     def __init__(self, digitizer: Any, disturb: Callable[[ShotKey, Acquired], Acquired]) -> None:
         self._digitizer = digitizer

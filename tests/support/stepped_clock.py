@@ -11,7 +11,7 @@ STEP_NS, LOOK_NS, PAUSE_NS = 50_000_000, 1_000, 1_000_000_000
 
 
 class SteppedClock:
-    """Time that passes while the recorder waits, a step a look."""
+    """Clock that advances by one step whenever the recorder waits."""
 
     def __init__(self) -> None:
         self._now_ns = 0

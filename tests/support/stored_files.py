@@ -1,4 +1,4 @@
-"""Files of a data folder for tests that look at them: by path, through the archive's reader."""
+"""Files of a data folder for tests: by path, through the archive's reader."""
 
 from __future__ import annotations
 

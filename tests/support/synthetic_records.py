@@ -32,7 +32,7 @@ def band_limited(n, rate_hz, ends_hz, seed):
 
 @dataclass(frozen=True, kw_only=True)
 class Scene:
-    """What a record holds; amplitudes of PSW and SSW are fractions of the ISW."""
+    """Content of a record; amplitudes of PSW and SSW are fractions of the ISW."""
 
     isw_v: float = 5.0
     isw_time_s: float = 50e-6

@@ -39,7 +39,7 @@ _HEAD = struct.Struct("<cIIq")
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Call:
-    """One call: ``kind`` is a letter of `traced_files.c`, or `MARK` for what the program says of itself."""
+    """One call: ``kind`` is a letter of `traced_files.c`, or `MARK` for an acknowledgement of the program."""
 
     kind: str
     path: str

@@ -22,7 +22,7 @@ T = TypeVar("T")
 
 
 class MachineTooSlowError(Exception):
-    """What a test waits for did not happen in time; whether it would have been right is not known."""
+    """Timeout of a wait in a test; whether the result would be right is unknown."""
 
     def __init__(self, what: str) -> None:
         super().__init__(f"machine too slow: {what} did not happen within {WAIT_S:g} s")

@@ -1,4 +1,4 @@
-"""What no gain, offset, delay or change of units may alter."""
+"""Invariance of features to gain, offset, delay and change of units."""
 
 import math
 from itertools import accumulate

@@ -12,7 +12,7 @@ from hardware_drivers.bounds import bounded
 
 @bounded
 class Window:
-    """Two values with bounds of their own, and a check that takes both."""
+    """Two values with their own bounds, and a check of both."""
 
     start_s: Annotated[float, Gt(0.125)] = 1.0
     stop_s: Annotated[float, Le(10.25)] | None = None

@@ -1,4 +1,4 @@
-"""What a record says of itself."""
+"""Metadata of a record."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""What the driver makes of an acquisition that claims success but cannot be one."""
+"""Errors for an acquisition that reports success with inconsistent data."""
 
 import math
 from contextlib import nullcontext
@@ -130,7 +130,7 @@ def test_a_board_that_refuses_to_be_closed_is_closed_at_the_second_try():
         pass
 
     class Refusing:
-        """As NI's session: it forgets its handle before the driver refuses."""
+        """Substitute for NI's session that loses its handle before the driver refuses."""
 
         handle, closed = 7, []
 

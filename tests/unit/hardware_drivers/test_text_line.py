@@ -1,4 +1,4 @@
-"""What an answer means, on a line whose other end is a table."""
+"""Parsing of replies, on a line whose other end is a table."""
 
 import pytest
 
@@ -12,7 +12,7 @@ LATER_S = 1e9
 
 
 class Answering:
-    """A port whose instrument says one thing to every question."""
+    """Port whose instrument sends one reply to every query."""
 
     in_waiting = 65_536
 

@@ -34,7 +34,7 @@ SMOOTH = replace(TWIN.echo, roughness_fraction=0.0, bubble_probability=0.0, velo
 
 
 class HandClock:
-    """The experiment's time, moved by the test."""
+    """Clock of the experiment, set by the test."""
 
     def __init__(self):
         self.now_ns = EPOCH_NS
@@ -179,7 +179,7 @@ def strikes_after(shot, utc_ns):
 
 
 class Recording:
-    """An executor that remembers what it was given."""
+    """Executor that logs what it was given."""
 
     def __init__(self, pool):
         self.pool = pool
@@ -195,7 +195,7 @@ class Recording:
 
 
 class TestAhead:
-    """Records computed ahead are those that would be computed when read."""
+    """Records computed ahead equal those computed when read."""
 
     @pytest.fixture
     def executor(self):

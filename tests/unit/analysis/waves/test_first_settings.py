@@ -1,4 +1,4 @@
-"""What strikes of known waves, noise and spikes propose."""
+"""First settings proposed from strikes of known waves, noise and spikes."""
 
 import numpy as np
 import pytest

@@ -53,7 +53,7 @@ OFFERED = {
 
 
 class Cable:
-    """What the double of a scripted instrument can pull."""
+    """Cable of a scripted instrument that its double can pull."""
 
     def __init__(self) -> None:
         self.pulled = False
@@ -65,7 +65,7 @@ class Cable:
 
 
 class Digitizer(SoundDigitizer):
-    """Sound, at a cable."""
+    """Sound digitizer at a cable."""
 
     def __init__(self, cable: Cable) -> None:
         super().__init__()
@@ -89,7 +89,7 @@ class Digitizer(SoundDigitizer):
 
 
 class Striker(SoundStriker):
-    """Sound, at a cable; a coil without power is off."""
+    """Sound striker at a cable; a coil without power is off."""
 
     def __init__(self, cable: Cable) -> None:
         super().__init__()

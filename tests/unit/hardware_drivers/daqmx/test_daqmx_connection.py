@@ -16,7 +16,7 @@ def test_a_task_whose_making_fails_half_way_is_cleared():
     notes = []
 
     class HalfMade:
-        """As NI's Task: it creates first and asks for its name then, which is refused."""
+        """Substitute for NI's Task that is created before its name is refused."""
 
         def __init__(self, name, grpc_options):
             notes.append("created")
@@ -35,7 +35,7 @@ def test_a_task_whose_making_fails_half_way_is_cleared():
 
 
 class System:
-    """As NI's, whose version is refused with a status."""
+    """Substitute for NI's system, whose version is refused with a status."""
 
     def __init__(self, status):
         self._status = status

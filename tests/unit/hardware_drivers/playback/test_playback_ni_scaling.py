@@ -32,7 +32,7 @@ def operation(kind, left, right, *, scale):
 
 
 class RawData:
-    """What npTDMS scales."""
+    """Raw data that npTDMS scales."""
 
     def __init__(self, data):
         self.data = data

@@ -17,7 +17,7 @@ START_NS = 1_704_067_200 * S
 
 
 class Reader:
-    """Two recorded sets, and which of them were read."""
+    """Reader of two recorded sets that logs which were read."""
 
     def __init__(self):
         self.asked = []

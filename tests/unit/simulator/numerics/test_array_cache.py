@@ -1,4 +1,4 @@
-"""What is kept on disk comes back to the last bit, or is computed again."""
+"""Cached arrays on disk are read back to the last bit, or computed again."""
 
 import json
 import logging

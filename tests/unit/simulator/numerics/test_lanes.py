@@ -1,4 +1,4 @@
-"""Vectors in compiled code: every lane by itself, rounded as IEEE 754 says."""
+"""Vectors in compiled code: every lane by itself, rounded as in IEEE 754."""
 
 import math
 

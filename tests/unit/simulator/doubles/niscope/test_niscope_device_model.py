@@ -43,7 +43,7 @@ RECORDS, SAMPLES = 16, 2048
 
 
 class Scope:
-    """The brain as a client sees it: one call a function, the status raised."""
+    """Client view of the brain: one call per function, the status raised."""
 
     def __init__(self, brain):
         self.brain = brain
@@ -291,7 +291,7 @@ def test_an_unknown_resource_is_refused(scope):
 
 
 class Clock:
-    """A pulser's clock that the test sets."""
+    """Clock of a pulser that the test sets."""
 
     now_s = 0.0
 

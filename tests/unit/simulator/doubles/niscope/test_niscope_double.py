@@ -25,7 +25,7 @@ INFO = ctypes.POINTER(waveform_info.struct_niScope_wfmInfo)
 
 
 class Function:
-    """Stands for a C function: takes what the package declares of it."""
+    """Substitute for a C function that takes the declared arguments."""
 
     argtypes: list
     restype: type
@@ -35,7 +35,7 @@ class Function:
 
 
 class Exports:
-    """Stands for the shared library: has every function."""
+    """Substitute for the shared library with every function."""
 
     def __init__(self):
         self.functions = {}
