@@ -264,9 +264,9 @@ def _add_set(
 
 def _feature(found: dict[str, Any], noise: Any, n_valid: int) -> FeatureRow:
     tof_pp, tof_ac, ratio, coefficient, area = (1.0 + 0.01 * noise).tolist()
-    told = {"shot_index": None, "sequence": None, **found}
+    columns = {"shot_index": None, "sequence": None, **found}
     return FeatureRow(
-        **told, n_valid=n_valid, tof_pp_s=3.3e-4 * tof_pp, tof_ac_s=3.3e-4 * tof_ac,
+        **columns, n_valid=n_valid, tof_pp_s=3.3e-4 * tof_pp, tof_ac_s=3.3e-4 * tof_ac,
         amplitude_ratio=0.5 * ratio, autocorrelation_coefficient=0.6 * coefficient, psw_area_v_s=1e-4 * area,
         tof_mf_s=3.3e-4 * tof_pp, isw_amplitude_v=5.0, psw_amplitude_v=2.5, isw_time_s=5e-5, psw_time_s=4e-4,
         isw_fwhm_s=6.5e-5, psw_isw_area_ratio=0.5, noise_rms_v=0.02,
@@ -523,7 +523,7 @@ def measure(folder: Path, n_sets: int, rounds: int) -> dict[str, Any]:
                 "p50_s": float(np.median([took.wall for took in taken])),
                 "p99_s": float(np.quantile([took.wall for took in taken], 0.99)),
                 "p99_cpu_s": float(np.quantile([took.cpu for took in taken], 0.99)),
-                "slowest": max(taken, key=lambda took: took.cpu).told,
+                "slowest": max(taken, key=lambda took: took.cpu).call,
             }
             for name, taken in {STATUS: status, **routes}.items()
         },
@@ -549,10 +549,10 @@ def main() -> None:
     print(", ".join(f"{number:,} {name}" for name, number in facts["rows"].items()))
     print(f"catalogue {facts['catalogue_bytes'] / 1e9:.2f} GB")
     print(f"{'answer':<56}{'n':>6}{'first ms':>10}{'p50 ms':>9}{'p99 ms':>9}{'p99 of CPU':>12}  slowest")
-    for name, told in facts["answers"].items():
-        ms = [1e3 * told[key] for key in ("first_s", "p50_s", "p99_s", "p99_cpu_s")]
+    for name, answer in facts["answers"].items():
+        ms = [1e3 * answer[key] for key in ("first_s", "p50_s", "p99_s", "p99_cpu_s")]
         columns = f"{ms[0]:>10.1f}{ms[1]:>9.1f}{ms[2]:>9.1f}{ms[3]:>12.1f}"
-        print(f"{name:<56}{told['n']:>6}{columns}  {told['slowest']}")
+        print(f"{name:<56}{answer['n']:>6}{columns}  {answer['slowest']}")
     stages = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in facts["start_s"].items())
     print(f"a start reads: {stages}")
     for name, seconds in facts["plain_s"].items():

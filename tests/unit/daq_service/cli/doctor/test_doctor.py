@@ -468,7 +468,7 @@ def test_a_folder_that_never_had_a_recorder_is_left_as_it_is(tmp_path: Path) -> 
 class Found:
     """A survey made up: `hardware_drivers.daqmx.survey.survey_rig` on doubles is tested elsewhere."""
 
-    board_findings: tuple[Finding, ...] = ()
+    findings: tuple[Finding, ...] = ()
     driver_version: str = "24.8.0"
     boards: tuple[BoardFacts, ...] = ()
     noise_rms_v: dict[str, float] = field(default_factory=dict)
