@@ -12,7 +12,7 @@ busy machine disturbs them alike; each is a process of its own in a new folder:
 
 A test of less than 2,000 strikes (34 h) has no process of its own for the twin.
 
-With ``--cold`` the command starts with empty caches: machine code and reduced plates are made anew.
+With ``--cold`` the command starts with empty caches: machine code and reduced plates are made again.
 Processor time is that of all threads and processes (on Windows without the twin's) and is hardly disturbed
 by other programs; wall time is.
 """

@@ -4,7 +4,7 @@ Runs the twin, the extraction and the assessors of the recorder (no storage: row
 each seed, at several scales of the scatter, and prints per run the hour of the first alarm and the
 mean depth then; for the pristine position D the outliers after the baseline, with the drift on and
 off. With the drift off, D's pooled count is compared with its predictive distribution: normal sets
-judged against a baseline of normal sets of the same size, simulated. At the end it prints, of the
+assessed against a baseline of normal sets of the same size, simulated. At the end it prints, of the
 runs with drift at scale 1, the median hour of the first alarm by the chart and by 3 of 5 sets beyond the
 F limit, on the same records, and how often each was raised; the same of the service's alarm of the wall, and
 of it where the cause was told to be the wall. With --why also charts that are designed otherwise, and 3 of 5

@@ -8,7 +8,7 @@ A run is a baseline of 200 sets, one an hour, and 300 sets after it; each number
 models asked for (solid plate, wet face, stronger dashpots). Sets are drawn at the level of sets, since
 500,000 sets of ten shots would take hours: what the twin's nuisance does to contacts, tilt, height and gain
 (its own functions, with memory, wander, tails, re-seats and weather), turned to features by slopes of the
-judged model, with the noise that ten real records leave (measured from the twin once); its walls are that
+assessed model, with the noise that ten real records leave (measured from the twin once); its walls are that
 model's own curve. Slopes are straight: what bends is left out, as are rogue and invalid shots and a loose
 contact. `tests/validation/test_diagnoses.py` takes real shots. A suspicion gets a confirmation set at once,
 at most two a day; "other" counts what was ever called sensor, coupling or environment. Healthy runs hold the
@@ -66,7 +66,7 @@ CONFIRMED_FOR = 12
 """Sets between two confirmation sets: two a day."""
 RULE = AlarmRule(k=3, n=5)
 HEALTHY_RATE = 0.01
-"""Of healthy runs that may be called WALL: what F is held to beside its own limit."""
+"""Of healthy runs that may be called WALL: what F is held to next to its own limit."""
 DEPTH_AT_END = 0.4
 """Corrosion grows evenly to this over the 300 sets, as the paper's positions did."""
 

@@ -8,7 +8,7 @@ the model's own curve and how fast the wall corrodes; it is spared temperature a
 corrosion begins as well, or only that it does some time in the first `LATEST_ONSET` sets after the baseline,
 each as likely. It calls WALL where the likelihood ratio of growth (mean over the times when it may begin)
 against health passes 1 / rate: of all tests that call at most this part of the healthy runs so (Ville's
-inequality), none is faster by more than the overshoot of a set. What it cannot name no verdict can.
+inequality), none is faster by more than the overshoot of a set. What it cannot name no assessment can.
 """
 
 from __future__ import annotations

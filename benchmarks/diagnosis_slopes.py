@@ -5,7 +5,7 @@
 
 Noise-free shots of the paper's chain (disk sensor) on its dry Mindlin plate, through the extractor of the
 recorder. A slope is the change of a feature's logarithm by one unit of the source, from a small step to both
-sides; a wall's row is the whole change at that depth. The judging is tried on other models
+sides; a wall's row is the whole change at that depth. The assessment is tried on other models
 (`benchmarks/diagnoses.py`).
 """
 

@@ -182,7 +182,7 @@ def measure(wired: DaqmxParameters, shots: int) -> dict[str, float]:
     for _ in range(ROUNDS):
         for name, way in ways.items():
             with way() as shot:
-                shot()  # the first shot of a turn commits; it is told apart below
+                shot()  # the first shot of a turn commits; it is reported separately below
                 for _ in range(shots // ROUNDS):
                     started_s = time.perf_counter()
                     shot()

@@ -1,6 +1,6 @@
 """Bias of the ultrasonic reading of the twin's walls, and the coverage of its interval.
 
-Run ``python benchmarks/echo_bias.py [--walls N]``. Every wall is drawn anew, thinned, recorded with the
+Run ``python benchmarks/echo_bias.py [--walls N]``. Every wall is drawn again, thinned, recorded with the
 default noise and read by correlation with the sound wall's echo and equation 17. Prints smooth walls, the
 V-shaped path, rough walls, and the paper's own experiment at its end.
 """

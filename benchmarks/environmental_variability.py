@@ -4,7 +4,7 @@
     python benchmarks/environmental_variability.py --seeds 1 --levels laboratory --hours 150
 
 Runs the demonstration's experiment without recorder and storage (`daq_service.cli.offline.twin_line`). For B
-and C it prints the shares of judged sets after 100 h beyond the F limit and beyond the paper's (mean plus
+and C it prints the shares of assessed sets after 100 h beyond the F limit and beyond the paper's (mean plus
 three SD of the baseline's distances), until the hole; for D those of all judged sets after the baseline; the
 paper found 80 and 92 % of the sets after 100 h, and 8 % at D. Then the first alarm by F, 3 of 5, the
 baseline's SDs, and the eigenvalues of its correlation. What it gives is what it prints: nothing is fitted.

@@ -6,7 +6,7 @@ and shows what streams do to its strikes::
 
     python benchmarks/event_stream.py [--clients 1000] [--rate 4] [--seconds 10] [--json]
 
-Beside each stands the obvious way, measured in the same run: a listening socket made without naming its
+Next to each stands the obvious way, measured in the same run: a listening socket made without naming its
 protocol (Nagle's algorithm stays on), and FastAPI's own stream of the same events. Latency: from the commit
 of an event (its ``wall_utc``) to its last byte at a client.
 """
@@ -181,7 +181,7 @@ async def measure_deliveries(
     opened = [await send_request(served.port, path) for _ in range(clients)]
     for reader, _ in opened:
         await reader.readuntil(b"\r\n\r\n")
-    # Each has heard that it is connected; the server has begun to wait for all of them.
+    # Each has heard that it is connected; the server has started to wait for all of them.
     await answer_s(await asyncio.open_connection("127.0.0.1", served.port), "/healthz")
     connecting_s = served.use()["cpu_s"] - before
     expected = clients * int(rate_hz * seconds)

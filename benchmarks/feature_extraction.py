@@ -8,7 +8,7 @@ Records are drawn, not simulated: cos^4 pulses as wide as the paper's, white noi
 The direct computation is what the definitions in `analysis.waves.features` say, sample by sample: quartics
 by ``numpy.polyfit``, matched filter and autocorrelation by FFTs of the whole record. Both lie in
 O(n log n); the ratio shows what the reduction to block means is worth. The largest difference of the
-results stands beside it.
+results stands next to it.
 """
 
 from __future__ import annotations

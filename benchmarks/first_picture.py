@@ -5,7 +5,7 @@
 A process of its own serves the folder of a test (default: 425 sets of the paper's schedule, invented). Each
 visit has a browser context of its own, so nothing is cached; "again" reloads in the same. Counted from the
 start of the navigation, by the page's own clock: the first paint; tiles with values; charts with points.
-Beside it stands the bare answer of the page's document.
+Next to it stands the bare answer of the page's document.
 """
 
 from __future__ import annotations

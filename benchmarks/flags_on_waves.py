@@ -9,7 +9,7 @@ nothing above ``--noise-ends-hz``, so that it is stronger in the wave's own band
 of a set of one wall, the others clean; with ``--walls any`` one of a file of 26 from as many walls, where of
 lost samples only a reflection that is earlier than any wall's can tell; with ``--walls alone`` nothing is
 beside it, and the wave's height and width are told, as by `solimon features --isw-amplitude-v --isw-fwhm-s`.
-A row tells flagged and not valid shots in percent.
+A row shows flagged and not valid shots in percent.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ SCALE_OF_90 = 1.702
 OTHERS = {"one": 9, "any": 25, "alone": 0}
 """Clean records that a record is compared with."""
 OF_A_SET = 5
-"""Records beside the same others."""
+"""Records next to the same others."""
 FloatArray = NDArray[np.float64]
 Wave = Callable[[float], FloatArray]
 """Record of a strike of height 1 whose ISW peaks at a time."""

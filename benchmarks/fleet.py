@@ -4,9 +4,9 @@
     python benchmarks/fleet.py --speed
 
 Fleets of sensors with memory, heavy tails and a weather that moves all of them, of which none, 1 % or 10 %
-become sick (7 SD in 300 sets, beginning anywhere): the false discovery rate, beside raising whatever alarms
-within the budget of each sensor. With `--speed`: 1,000 sensors of 8,766 sets by `solimon assess`, beside one
-that calls the same judgement for one table after another. About ten minutes on two cores, each.
+become sick (7 SD in 300 sets, beginning anywhere): the false discovery rate, next to raising whatever alarms
+within the budget of each sensor. With `--speed`: 1,000 sensors of 8,766 sets by `solimon assess`, next to one
+that calls the same assessment for one table after another. About ten minutes on two cores, each.
 """
 
 from __future__ import annotations

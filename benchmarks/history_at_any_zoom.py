@@ -4,7 +4,7 @@
 
 A kept ``--folder`` is filled once, by `commit_set` as a recorder does. Ranges of every width, from one set to
 the whole test, are asked as the dashboard does, of the application without a socket, while another process
-stores a set twenty times a second. "grouped" is the obvious way to such a picture, measured beside it: SQL
+stores a set twenty times a second. "grouped" is the obvious way to such a picture, measured next to it: SQL
 that groups the range's rows, with the same index, into as many bins. Outliers are planted in the test: each
 answer must tell every one of its range.
 """
@@ -39,7 +39,7 @@ from daq_service.web.routes.trends import MOST_POINTS
 from hardware_drivers.nanoseconds import NS_PER_H
 
 SETS, SETS_A_COMMIT, SHOTS = 1_000_000, 500, 7
-"""Set, mean features, verdict and seven shots: ten rows a set."""
+"""Set, mean features, assessment and seven shots: ten rows per set."""
 INTERVAL_H = 0.1
 FIELDS = ("tof_pp_s", "distance_squared", "limit_f", "outlier")
 """What a chart of the dashboard asks for."""

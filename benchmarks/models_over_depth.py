@@ -2,7 +2,7 @@
 
     python benchmarks/models_over_depth.py [--models mindlin ...] [--json] [--write]
 
-Noise-free sensor force, static preload kept, the paper's chain and plate. Beside each number stands what a
+Noise-free sensor force, static preload kept, the paper's chain and plate. Next to each number stands what a
 finer mesh and a quarter of the step change in it. `zener` and `infinite_kirchhoff` know no patch: the whole
 plate is as thin as the depth leaves it. `--write` renews docs/reference/models-over-depth.{csv,md}, which a
 test compares with the models. Takes some minutes with the solid plate.

@@ -11,7 +11,7 @@ pair of Dormand and Prince: for chain and all unknowns of the 96 x 96 mesh, the 
    tightest. Ours on the same mesh is compared with the tightest, too. The steps per quarter of the record
    show whether stability or accuracy limits the step.
 2. **What it costs.** With that tolerance the paper's mesh is integrated from first touch through a stated
-   fraction of the record. There the step is limited by stability: printed beside the mean step is the
+   fraction of the record. There the step is limited by stability: printed next to the mean step is the
    largest one with which the pair does not amplify the fastest mode. While the plate is still quiet the
    steps stray above it and some are rejected, so that the extrapolation flatters the paper's method.
    `--fraction 1` runs it to the end (hours).

@@ -21,7 +21,7 @@ import numpy as np
 
 TIMELESS = {"wall_utc_ns", "finished_wall_utc_ns", "created_utc_ns", "solimon_version", "configuration_hash"}
 OF_THE_RUN = {"cost", "versions", "created_utc_ns"}
-"""Parts of an event's payload that tell of the run, not of the test."""
+"""Parts of an event's payload that describe the run, not the test."""
 
 
 def rows(folder: Path) -> dict[str, list[dict[str, Any]]]:

@@ -3,7 +3,7 @@
     python benchmarks/sweep_speed.py [--workers N] [--rows N] [--json]
 
 Three sweeps of the paper's plate, its reduction kept on disk: depths (one chain), a grid of depths and
-drop heights, and Zener's model. The loop prepares every shot anew, as one call of the simulator for each
+drop heights, and Zener's model. The loop prepares every shot again, as one call of the simulator for each
 row would. Executors are started before they are timed, and every run has depths of its own: nothing it
 computes is remembered. The best of several runs counts. Takes about a minute on two cores.
 """

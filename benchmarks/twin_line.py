@@ -6,7 +6,7 @@
 Processor seconds of one process, imports, machine code and reduced plates left out: the whole run at
 ``laboratory``; then a shot (physics, trigger, counts) at each level over one without nuisance, the same
 strikes by turns, the median of the ratios. ``--demo`` runs the demonstration's line, recorder and storage and
-the twin's process, for as many hours beside it (`demo_speed.py`) and prints the ratio. Fails (exit code 1)
+the twin's process, for as many hours next to it (`demo_speed.py`) and prints the ratio. Fails (exit code 1)
 above 1.15 times a shot without.
 """
 
@@ -39,7 +39,7 @@ sys.path.insert(0, str(Path(__file__).parent))
 POSITIONS = "BCD"
 TURNS, SETS, SHOTS = 9, 12, 10
 LIMIT = 1.15
-"""Seats, contacts of each shot and what else is heard cost some 70 us beside .6 ms of the physics."""
+"""Seats, contacts of each shot and what else is heard cost some 70 us next to .6 ms of the physics."""
 
 
 def cpu_seconds(work: Callable[[], object]) -> float:

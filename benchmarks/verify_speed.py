@@ -6,7 +6,7 @@ Without a folder, so many hours of the demo are recorded first. Rounds alternate
 the least of the rounds counts; files come from the page cache. Beside verify stand the SHA-256 of every file,
 which names a touched file but no shot and compares no row, and every array and attribute read with h5py,
 which finds what HDF5's own checksums find. "Files" is verify without catalogue and journal: with the SHA-256
-of each file known, and without, where each file is made anew and compared.
+of each file known, and without, where each file is made again and compared.
 """
 
 from __future__ import annotations

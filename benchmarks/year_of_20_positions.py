@@ -523,7 +523,7 @@ def measure(folder: Path, n_sets: int, rounds: int) -> dict[str, Any]:
                 "p50_s": float(np.median([took.wall for took in taken])),
                 "p99_s": float(np.quantile([took.wall for took in taken], 0.99)),
                 "p99_cpu_s": float(np.quantile([took.cpu for took in taken], 0.99)),
-                "slowest": max(taken, key=lambda took: took.cpu).told,
+                "slowest": max(taken, key=lambda took: took.cpu).call,
             }
             for name, taken in {STATUS: status, **routes}.items()
         },

@@ -4,8 +4,8 @@
 
     InstrumentError
     ├── ConfigurationError      stop and say it: the request can never succeed as written
-    │   └── UnknownStatusError  no table names it: as above, but a test that has begun asks again
-    ├── BusyError               somebody else owns the board or port: name the owner, back off
+    │   └── UnknownStatusError  no table names it: as above, but a test that has started asks again
+    ├── BusyError               someone else owns the board or port: name the owner, back off
     ├── AcquisitionTimeoutError no trigger within the deadline: a missed strike
     └── ConnectionLostError     the instrument or its driver is gone: rebuild, bounded
 
@@ -38,7 +38,7 @@ class AcquisitionTimeoutError(InstrumentError):
     Attributes
     ----------
     last_attempt
-        The shot cannot be struck once more: a recording has no further attempt.
+        The shot cannot be struck again: a recording has no further attempt.
     """
 
     last_attempt = False

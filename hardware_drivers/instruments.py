@@ -58,7 +58,7 @@ class Acquired:
     settings
         What the instrument says of the record, SI units in the names.
     last_attempt
-        The shot cannot be struck once more: a recording has no further attempt.
+        The shot cannot be struck again: a recording has no further attempt.
     """
 
     waveform: Waveform

@@ -92,7 +92,7 @@ class Opening:
     epoch_utc_ns
         Hour 0 of the experiment.
     boot_id
-        Boot of this computer, that `stamp` tells.
+        Boot of this computer, that `stamp` shows.
     experiment
         The whole configuration as nested tables, for kinds that must know the specimen: simulators,
         recordings.

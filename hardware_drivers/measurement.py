@@ -129,10 +129,10 @@ class Waveform:
 
 
 PLANNED_SETS = 10_000_000
-"""Sets of a plan have indices below it. The n-th set beside the plan that follows planned set k, a
+"""Sets of a plan have indices below it. The n-th set outside the schedule that follows planned set k, a
 confirmation set, has the index ``n * PLANNED_SETS + k``: no index of the plan ever depends on it."""
 MOST_EXTRA = 200
-"""Sets beside the plan between two planned ones: all indices stay below 2**31."""
+"""Sets outside the schedule between two planned ones: all indices stay below 2**31."""
 
 Purpose = Literal["planned", "confirmation"]
 

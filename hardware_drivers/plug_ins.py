@@ -102,7 +102,7 @@ def find_kind(name: str) -> tuple[Kind[Any], Offer]:
     Raises
     ------
     ConfigurationError
-        Nobody offers it, or as `Offer.load`.
+        No one offers it, or as `Offer.load`.
     """
     known = offers()
     if name not in known:

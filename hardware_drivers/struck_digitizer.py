@@ -13,7 +13,7 @@ from hardware_drivers.measurement import ShotKey
 class StruckDigitizer(ABC):
     """Digitizer that returns the record of the first strike at the armed position; its striker notifies it.
 
-    Nobody can strike while `read` runs, so a read without a strike times out at once.
+    No one can strike while `read` runs, so a read without a strike times out at once.
     """
 
     no_strike_remedy: ClassVar[str] = ""

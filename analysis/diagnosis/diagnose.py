@@ -2,7 +2,7 @@
 
 Averages of the logarithms of seven features, of three lengths, are remembered. A cause is a direction (or a
 curve) in the features and a course in time: a wall grows, a re-seat is there from one set to the next. Each
-cause is judged by the likelihood of the three averages together, beside that of a healthy transducer.
+cause is assessed by the likelihood of the three averages together, next to that of a healthy transducer.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Diagnosis:
     changes
         Relative change of each component, by its name: the average of some ten sets.
     confirmed
-        With a set struck beside the plan.
+        With a set struck outside the schedule.
     reseated, returned
         It names a re-seat that was not known before; the contact sits as in the baseline again.
     """
@@ -207,7 +207,7 @@ def _observations(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the stored averages, their covariance without a change (a set's is 1), and the courses in them.
 
-    Where the wander stood when the baseline ended tells where it may be now, until a re-seat.
+    Where the wander stood when the baseline ended shows where it may be now, until a re-seat.
 
     Returns
     -------

@@ -1,7 +1,7 @@
 """Hypotheses on what happened to a transducer: each a mean change of the features and its scatter.
 
 Amounts are mixtures over a wide grid, so that a cause is known by its direction, or its curve, and not by a
-size that somebody guessed. Slopes are those of one model (`slopes`); that others differ is in the scatter.
+size that someone guessed. Slopes are those of one model (`slopes`); that others differ is in the scatter.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ OK, WALL, SENSOR, COUPLING, ENVIRONMENT = "ok", "wall", "sensor", "coupling", "e
 CAUSES = (WALL, SENSOR, COUPLING, ENVIRONMENT)
 
 PRIOR = {OK: 0.9} | dict.fromkeys(CAUSES, 0.025)
-"""Before anything is seen; the causes alike, since nobody has counted them in the field."""
+"""Before anything is seen; the causes alike, since no one has counted them in the field."""
 WANDERING = 0.03
 """Part of `OK`: a healthy transducer that has moved as far as its baseline's sets scatter, beyond the slow
 wander that the baseline shows."""
@@ -44,7 +44,7 @@ SIZES = (0.25, 0.5, 1.0, 2.0, 4.0)
 """Of each source's usual size below, to either side."""
 
 USUAL_STIFFNESS, USUAL_DAMPING = 0.05, 0.25
-"""SD of ln A and ln gamma of a contact that sits anew (assumption: a contact's stiffness follows the root of
+"""SD of ln A and ln gamma of a re-seated contact (assumption: a contact's stiffness follows the root of
 its radius, its dashpot anything that lies between)."""
 USUAL_GAIN, USUAL_DROP, USUAL_TILT_RAD, USUAL_WEAR = 0.03, 0.05, 0.004, 0.05
 """SD of ln gain, ln drop height, tilt and ln radius (assumptions)."""

@@ -25,7 +25,7 @@ WORTH_SETS = 4.0
 """Degrees of freedom that this is worth."""
 ITERATIONS = 25
 MOST_SETS = 256
-"""The last ones of a longer baseline: slower parts are not told apart any better."""
+"""The last ones of a longer baseline: slower parts are not distinguished any better."""
 UNKNOWN_MEAN = 100.0
 """Variance of a baseline's true mean in units of a set's: it may lie anywhere."""
 END_RATES = (0.1, 0.02)

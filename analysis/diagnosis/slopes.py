@@ -16,7 +16,7 @@ COMPONENTS = (
     "isw_amplitude_v",
     "isw_fwhm_s",
 )
-"""The five features that are judged, and the two of the incident wave, which no wall changes."""
+"""The five features that are assessed, and the two of the incident wave, which no wall changes."""
 
 STIFFNESS = (
     (0.0067, 0.0055, 0.0026, 0.0031, -0.0096, 0.0103, -0.0178),

@@ -1,7 +1,7 @@
 """Diagnosis state of a transducer: averages over its sets, a confirmation set, a re-seat, a gap.
 
 A confirmed re-seat shifts the transducer for good. Where it sits since then is learnt from the next sets, and
-later changes are told from there, so that a wall that thins behind it is still named.
+later changes are measured from there, so that a wall that thins behind it is still named.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ class DiagnosisState:
     Attributes
     ----------
     n
-        Sets judged so far, or since a re-seat was named.
+        Sets assessed so far, or since a re-seat was named.
     wall
         A wall was named, and the transducer was not healthy since.
     likely

@@ -39,7 +39,7 @@ class Baseline:
     suspect_limit
         Phase I limit: 5 % chance that any of n healthy normal sets exceeds it.
     warnings
-        What the reader of a verdict should know.
+        What the reader of an assessment should know.
     extractor_version
         Version of the extractor the vectors came from; versions must not be mixed.
     sd, correlation, whitening
@@ -130,14 +130,14 @@ def fit_baseline(
     Parameters
     ----------
     vectors
-        Shape (n, p), one row a set; sets that are not to be judged must be left out by the caller.
+        Shape (n, p), one row per set; sets that are not to be assessed must be left out by the caller.
     set_indices
         Their n indices.
 
     Raises
     ------
     NotEnoughSetsError
-        Fewer than 15 sets (or not more than p + 1); its message is the reason to store beside a null limit.
+        Fewer than 15 sets (or not more than p + 1); its message is the reason to store next to a null limit.
     SingularCovarianceError
         A feature is constant, or a combination of others.
     InvalidInputError

@@ -65,7 +65,7 @@ def bins_of_sets(
     quality
         The greater, the worse; None: nothing was measured.
     outlier, outlier_paper
-        None: not judged.
+        None: not assessed.
     """
     index, numbers = np.asarray(set_index, dtype=np.float64), np.asarray(values, dtype=np.float64)
     bins = np.zeros(index.size, bin_type(numbers.shape[1]))

@@ -1,6 +1,6 @@
 """Design of a frozen baseline: limits and chart for later sets, and the recursion from set to set.
 
-`sequence` judges a whole table at once by the same design; a test compares the two.
+`sequence` assesses a whole table at once by the same design; a test compares the two.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ def directions_of(vectors: ArrayLike) -> Directions:
     )
     middle = float(r.mean())
     variance = (1.0 - np.clip(middle, 0.0, LARGEST_PHI) ** 2) / n
-    # Of the eigenvalues of a symmetric matrix with this variance on, and half of it beside, its diagonal.
+    # Of the eigenvalues of a symmetric matrix with this variance on, and half of it next to its diagonal.
     by_chance = variance * (p - 1) * (p + 2) / (2 * p)
     spread = float(((r - middle) ** 2).mean())
     true_part = max(0.0, 1.0 - by_chance / spread) if spread > 0.0 else 0.0

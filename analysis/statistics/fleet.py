@@ -32,7 +32,7 @@ SHARED_SD = 0.3
 SHARED_SIGNIFICANCE = 4.5
 """Standard errors: independent sensors reach them in 10^6 features and sets less than seven times."""
 RUN_LENGTHS = np.geomspace(10.0, 1e9, 17)
-"""The integral equation ends at some 10^10; a chance below its last one is told as its last."""
+"""The integral equation ends at some 10^10; a chance below its last one is reported as its last."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +65,7 @@ def running_chance(statistic: FloatArray, n: int, p: int, period: int) -> FloatA
     Parameters
     ----------
     statistic
-        Of a chart without restarts after alarms, shape (sets,); NaN where a set was not judged.
+        Of a chart without restarts after alarms, shape (sets,); NaN where a set was not assessed.
     n, p
         Sets and features of the baseline.
     period
@@ -237,7 +237,7 @@ def sensor_gain(
         The gain, its variance for sets without memory, and the part of the variance of one feature's SD that
         goes into it. NaN: nothing is shared.
     """
-    # Beside their means: what is wrong with the mean of a baseline is no gain.
+    # Next to their means: what is wrong with the mean of a baseline is no gain.
     x = np.ma.masked_invalid(deviations)
     moved = np.ma.masked_array(shared, mask=np.ma.getmaskarray(x))
     moved = (moved - moved.mean(axis=0)).filled(0.0)

@@ -25,7 +25,7 @@ def autocorrelation(vectors: ArrayLike, lag: int) -> FloatArray:
     Parameters
     ----------
     vectors
-        Shape (n, p), a row a set in the order of time; rows with a NaN are gaps and keep their place.
+        Shape (n, p), a row per set in the order of time; rows with a NaN are gaps and keep their place.
     """
     x = np.asarray(vectors, dtype=np.float64)
     if x.ndim != 2 or not 1 <= lag < x.shape[0]:

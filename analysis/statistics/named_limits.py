@@ -42,7 +42,7 @@ class Facts:
     Attributes
     ----------
     rate
-        Chance that a healthy set lies beyond, of limits that judge single sets.
+        Chance that a healthy set lies beyond, of limits that assess single sets.
     run_length
         Sets from one false alarm to the next, of limits that keep a budget.
     """

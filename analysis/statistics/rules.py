@@ -23,9 +23,9 @@ MINIMUM_SETS = 15
 class AlarmRule:
     """Alarm rule: on at ``k`` outliers in the last ``n`` assessed sets, off at ``off_at_most`` or fewer.
 
-    A set that was not judged (None) does not enter the window: it neither raises nor clears. So the
-    rule's rate a judged set does not depend on gaps, and a sensor that fails often cannot hide outliers.
-    The alarm clears only over a full window of n judged sets.
+    A set that was not assessed (None) does not enter the window: it neither raises nor clears. So the
+    rule's rate an assessed set does not depend on gaps, and a sensor that fails often cannot hide outliers.
+    The alarm clears only over a full window of n assessed sets.
     """
 
     k: int = 3
@@ -48,7 +48,7 @@ class AlarmState:
     Attributes
     ----------
     recent
-        Verdicts of the last judged sets, oldest first, at most n.
+        Assessments of the last assessed sets, oldest first, at most n.
     active
         The alarm is on.
     """

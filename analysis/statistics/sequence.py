@@ -35,7 +35,7 @@ class Assessed:
     Attributes
     ----------
     refused
-        Why nothing could be judged; None: it was. Then everything below has its value.
+        Why nothing could be assessed; None: it was. Then everything below has its value.
     features_dropped
         Constant in the baseline.
     n, n_eff, phi_pooled
@@ -47,7 +47,7 @@ class Assessed:
     named
         What else stands out of the baseline.
     left_out
-        Rows with a missing value, and other rows that are not judged, each with its reason.
+        Rows with a missing value, and other rows that are not assessed, each with its reason.
     limits
         By name.
     count, first

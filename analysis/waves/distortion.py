@@ -1,7 +1,7 @@
 """Distorted shots: tops made lower by an amplifier, samples lost without a gap.
 
 One wall sends back one shape, so both show beside the set's median outline, by the pattern that they leave in
-the difference from it: small ones that no distance between records tells from scatter (`outline`).
+the difference from it: small ones that no distance between records distinguishes from scatter (`outline`).
 """
 
 from __future__ import annotations

@@ -110,9 +110,9 @@ class ShotFeatures:
     compared
         The flags count what the set's other shots show already, as in `template.compare_with_template`.
     outline
-        The record at some points, beside which other shots' are seen; None without a reflected wave.
+        The record at some points, next to which other shots' are seen; None without a reflected wave.
     sd
-        Standard deviation that the record's own noise gives a feature, by name; empty where nobody
+        Standard deviation that the record's own noise gives a feature, by name; empty where no one
         asked for it.
     """
 
@@ -175,7 +175,7 @@ class SetFeatures:
     n_shots, n_valid
         Shots handed in, and those in the mean.
     quality
-        ``bad``: too few valid shots, not to be judged; ``suspect``: some shots were left out or at
+        ``bad``: too few valid shots, not to be assessed; ``suspect``: some shots were left out or at
         least half of the valid ones are suspect; else ``good``.
     reason
         Why the quality is not good, empty if it is.
@@ -383,7 +383,7 @@ def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
 
     A wave needs 20 us to half its height: within `JUMP_S` before and after the trigger it rises by less than
     a quarter of what it reaches in `FRONT_S`. A coil's spike is at its height at once, and nothing in the
-    record is much higher; a crest of noise that started the record before the wave is small beside it.
+    record is much higher; a crest of noise that started the record before the wave is small next to it.
     """
     rate_hz = record.block_samples / record.step_s
     trigger = round(0.5 * (record.block_samples - 1) - record.first_s * rate_hz)
@@ -497,7 +497,7 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
     shots
         Every shot that was taken, valid or not.
     minimum_valid
-        Fewer valid shots make no mean (the paper takes ten shots a set).
+        Fewer valid shots make no mean (the paper takes ten shots per set).
     """
     if minimum_valid < 1:
         raise InvalidInputError(f"minimum_valid is {minimum_valid}; it must be at least 1")

@@ -8,7 +8,7 @@ neighbours see little of it, means over a pulse all of it. So its power is read
   foot taken out. A band counts for itself only where its power lies above that of the wider one by more than
   chance (1 %): a band of few coefficients is uncertain by itself.
 
-Powers are told as the variance of one block mean of white noise with that spectral density.
+Powers are reported as the variance of one block mean of white noise with that spectral density.
 """
 
 from __future__ import annotations

@@ -36,7 +36,7 @@ TIMES_USUAL, TIMES_NOISE = 3.0, 2.2
 """Of the middle distance (at ``plant`` one shot in 200 is beyond), and of what noise alone gives."""
 ONE_WALL_S, SAME_WALL_S = 30e-6, 25e-6
 """Eight of ten shots of one wall come within 10 us at ``laboratory``, 25 us at ``plant``; in a file of many
-walls a shot has its own wall's beside it where others come within the second."""
+walls a shot has its own wall's next to it where others come within the second."""
 LEAST_EARLY_S, EARLY_SD = 20e-6, 6.0
 """Healthy shots of a set come up to 7 us before the middle one at ``laboratory``, 15 us at ``plant``."""
 UPPER_QUARTER_SD = 0.6745
@@ -92,7 +92,7 @@ def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArr
     Parameters
     ----------
     outlines, tofs_s
-        Of each shot, of one transducer; of less than `FEWEST` none is told.
+        Of each shot, of one transducer; of less than `FEWEST` none is reported.
     """
     n = len(outlines)
     if n < FEWEST:

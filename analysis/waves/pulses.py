@@ -139,7 +139,7 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
         max(floor, settings.no_psw_below_fraction * isw.amplitude_v),
     )
     if psw is None and not _leaves_room(record, isw, settings):
-        return Pulses()  # nobody could tell a hole from a wave that came too late
+        return Pulses()  # no one could tell a hole from a wave that came too late
     ssw = None
     if psw is not None:
         psw_index = record.index(psw.matched_time_s)

@@ -31,7 +31,7 @@ WIDENED, LOWERED, WIDTH_POWER = 1.06, 0.8, 1 / 6
 velocity^(6/5)). One that is lower than the second, and wider than that by the first, was bent on its way:
 tanh to .8 of the height makes it 1.07 times that wide; a disk that leans by .05 rad has .98, at .54."""
 LIKE_ITS_OWN = 0.12
-"""A wave without a reflection may tell of a hole only where its width is the usual one within this part."""
+"""A wave without a reflection may show a hole only where its width is the usual one within this part."""
 WEAKEST_REFLECTION = 0.25
 """Of the pristine wall's amplitude ratio: the smallest that any plate model sends back is .4 of it; through a
 hole what follows the incident wave stays below a fifth of that wave."""
@@ -175,7 +175,7 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
     if shot.compared or template is None or not math.isfinite(shot.isw_amplitude_v):
         return shot
     width = shot.isw_fwhm_s / template.isw_fwhm_s
-    # A plateau widens a wave, two strikes in one do too: those are told already.
+    # A plateau widens a wave, two strikes in one do too: those are reported already.
     other = not NARROWEST <= width <= WIDEST and {"clipped", "double"}.isdisjoint(shot.flags)
     if "no_psw" in shot.flags:
         other = other or abs(width - 1.0) > LIKE_ITS_OWN or _arrival_differs(shot, template)

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from hardware_drivers.conformance.bench import Double
     from hardware_drivers.conformance.choice import ChosenInstrument
 
-# Loaded by every pytest beside which solimon is installed: whatever is heavy comes with the suites.
+# Loaded by every pytest next to which solimon is installed: whatever is heavy comes with the suites.
 _HERE = Path(__file__).parent
 pytest.register_assert_rewrite(
     *(f"{__package__}.{file.stem}" for file in (*_HERE.glob("*_contract.py"), _HERE / "records.py"))

@@ -62,7 +62,7 @@ class PowerSupplyContract:
         supply.energise(voltage_v, current_limit_a)
         reading = supply.read(TIMEOUT_S)
         assert reading.output_on
-        # Bench supplies set and measure within 0.1 % + 10 mV; 1 % tells 8 V from any other order here.
+        # Bench supplies set and measure within 0.1 % + 10 mV; 1 % separates 8 V from any other command.
         assert reading.voltage_v == pytest.approx(voltage_v, rel=0.01)
         assert 0.0 < reading.current_a <= current_limit_a
 

@@ -19,7 +19,7 @@ TIMEOUT_S = 0.05
 WHOLE_TIMEOUT_S = 30.0
 """Of an instrument that is well again: reached on a machine that hangs, not on one that is busy."""
 AT_REST = ("arm", "disarm", "make_safe", "measure")
-"""Calls that an instrument must take although nobody strikes."""
+"""Calls that an instrument must take although no one strikes."""
 Call = Callable[[], object]
 
 

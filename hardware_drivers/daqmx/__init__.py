@@ -29,7 +29,7 @@ def open_daqmx(parameters: DaqmxParameters) -> Iterator[DaqmxInstruments]:
     ConfigurationError
         No driver, a board that cannot do what is asked, wiring that does not exist.
     BusyError
-        Somebody else holds a board, named in the message.
+        Someone else holds a board, named in the message.
     ConnectionLostError
         A board or the gRPC server is not there.
     """

@@ -193,7 +193,7 @@ def _start_by_coil(
 ) -> None:
     """Configure the start by an edge of the coil's counter: with the pulse, or the holdoff after its end.
 
-    Verified here, so that a route or delay that the boards do not have is told as what it is.
+    Verified here, so that a route or delay that the boards do not have is reported as what it is.
     """
     from nidaqmx.constants import DigitalWidthUnits, Edge, TaskMode
 

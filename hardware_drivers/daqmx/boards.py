@@ -75,7 +75,7 @@ def installed(connection: Connection) -> dict[str, Any]:
         except ConnectionLostError as error:
             if getattr(error.__cause__, "error_code", 0) not in ABSENT:
                 raise
-            # NI MAX remembers boards that are gone; somebody else's must not stop us.
+            # NI MAX remembers boards that are gone; someone else's must not stop us.
             log.info("%s is listed but not there", device.name)
     return found
 

@@ -1,6 +1,6 @@
 """Lock of a client name: one process of this computer for each name on a gRPC server.
 
-Tasks on the server are told apart by that name, so a second process under it would clear the first
+Tasks on the server are distinguished by that name, so a second process under it would clear the first
 one's. The lock is the operating system's: it ends with its process, however that ends.
 """
 

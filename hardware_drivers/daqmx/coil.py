@@ -87,7 +87,7 @@ class Coil:
     def close(self) -> bool:
         """Stop the pulse, then clear the tasks; True if the driver confirmed it (errors are logged).
 
-        Afterwards `on_until` tells whether the coil may still be on: it is 0 once any step stopped it.
+        Afterwards `on_until` shows whether the coil may still be on: it is 0 once any step stopped it.
         """
         doing = f"switching off the coil of {self.position!r}"
         well = True
@@ -121,7 +121,7 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
         )
     doing = f"setting up the coil of {position!r} on {board.label}"
     wired = parameters.watchdog_of(board.serial)
-    # First: some boards let no watchdog be reserved beside other tasks (-201477).
+    # First: some boards let no watchdog be reserved next to other tasks (-201477).
     watchdog = None if wired is None else _commit_watchdog(connection, wired, board)
     try:
         task = connection.task("striker")

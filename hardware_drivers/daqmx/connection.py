@@ -139,7 +139,7 @@ class Connection:
             except ConnectionLostError as error:
                 if not _name_is_taken(error):
                     raise
-                # The server has forgotten the session but not its task: nobody can reach it.
+                # The server has forgotten the session but not its task: no one can reach it.
                 log.warning("%s: it is beyond reach", doing)
                 reached = False
         return reached

@@ -51,7 +51,7 @@ class DaqmxDigitizer:
     def arm(self, key: ShotKey) -> None:
         """Start the acquisition: its pre-trigger fills from now on, or after the coil's ringing.
 
-        A striker of an earlier strike that nobody recorded is left to land first: its wave belongs to
+        A striker of an earlier strike that no one recorded is left to land first: its wave belongs to
         no shot.
         """
         bench, chassis = self._bench, self._bench.chassis

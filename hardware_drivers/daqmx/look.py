@@ -105,7 +105,7 @@ def _finding_of_board(finding: Finding, found: Survey, parameters: DaqmxParamete
     owned = state == "fail" and OWNED in f"{finding.detail}; {finding.remedy}"
     kind, _, label = finding.subject.partition(" ")
     if state == "fail" and kind == "board" and int(label, 16) not in _wanted(parameters):
-        state = "warn"  # somebody else's board
+        state = "warn"  # someone else's board
     values: dict[str, float | str | bool | None] = {}
     detail = finding.detail
     if kind == "transducer":

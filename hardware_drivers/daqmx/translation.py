@@ -64,7 +64,7 @@ BUSY: dict[int, str] = {
     -89137: "resources in use for a route",
     -89138: "resources in use for a route, inside the task",
 }
-"""Somebody else holds what we need: name the owner, back off, reset nothing."""
+"""Someone else holds what we need: name the owner, back off, reset nothing."""
 
 LOST: dict[int, str] = {
     -200004: "data overwritten in the board's memory",

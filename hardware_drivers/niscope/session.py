@@ -48,7 +48,7 @@ def vendor_package() -> ModuleType:
         ) from error
     try:
         # `niscope.Session` opens the board first and loads NI-TClk after: without it the board would stay
-        # open with nobody to close it. A reference to no session loads the library and calls nothing.
+        # open with no one to close it. A reference to no session loads the library and calls nothing.
         nitclk.SessionReference(0)
     except nitclk.errors.Error as error:
         raise ConfigurationError(

@@ -2,7 +2,7 @@
 
 Codes are those of NI's header ``niScope.h`` (IVI base 0xBFFA0000, IVI class 0x2000, NI-SCOPE 0x4000).
 Newer boards run on NI-DAQmx's kernel and wrap its status as ``Status Code: -nnn`` in the text: a wrapped
-code is judged by its own table. ``docs/reference/faults-niscope.md`` says what follows from each.
+code is assessed by its own table. ``docs/reference/faults-niscope.md`` says what follows from each.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A recorded shot is played back when its key is struck while the digitizer is armed at its position. A
 shot, or an attempt at it, that was not recorded is a missed strike; after the last attempt the recording
-says so (`last_attempt`), and nobody strikes again; a position that was not recorded is refused by name.
+says so (`last_attempt`), and no one strikes again; a position that was not recorded is refused by name.
 Counts, calibration, settings and truth pass unchanged. No instrument waits.
 """
 

@@ -97,7 +97,7 @@ def _describe(path: Path, file: Any, group: Any, channel: Any) -> Channel:
         own_properties=channel.properties,
         group_properties=group.properties,
         file_properties=file.properties,
-        # One sample tells the type of DAQmx raw data too, which hide it in their scaler.
+        # One sample shows the type of DAQmx raw data too, which hide it in their scaler.
         dtype=_raw_values(channel, 0, 1).dtype.newbyteorder("="),
         n_samples=len(channel),
     )

@@ -75,7 +75,7 @@ def channel_records(
     pretrigger_s
         Whatever the file says; None: as it says.
     rails_marked
-        Somebody else sees clipping: 32-bit codes need not tell their resolution.
+        Someone else sees clipping: 32-bit codes need not tell their resolution.
     unitless_are_volts
         Scaled values are volts where the file does not tell their unit.
 

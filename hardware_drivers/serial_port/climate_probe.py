@@ -7,7 +7,7 @@ from hardware_drivers.serial_port.instrument import SerialInstrument
 from hardware_drivers.serial_port.parameters import ClimateParameters
 
 TEMPERATURE_RANGE_C = (-60.0, 200.0)
-"""What air beside a specimen can have; without its sensor a probe often tells the end of its scale."""
+"""What air next to a specimen can have; without its sensor a probe often shows the end of its scale."""
 HUMIDITY_RANGE = (0.0, 1.05)
 """Capacitive sensors read a little over 1 in fog."""
 
@@ -25,7 +25,7 @@ class ScpiClimateProbe(SerialInstrument[ClimateParameters]):
         ConfigurationError
             Another instrument is there, or the port cannot be opened as configured.
         ConnectionLostError
-            The probe does not answer in time, or tells what air cannot have.
+            The probe does not answer in time, or shows what air cannot have.
         """
         deadline_s = self._deadline_s(timeout_s)
         parameters = self._parameters

@@ -74,13 +74,13 @@ class Dialect:
     source
         Manual that the table was written from.
     error_query
-        Takes the oldest error away; empty: this supply tells none, and only what is read back counts.
+        Takes the oldest error away; empty: this supply shows none, and only what is read back counts.
     bare_errors
         An error is its number alone.
     protections
         Each asks whether a protection has tripped; empty: this supply does not say.
     trips_are_events
-        Asking takes the trip away, so what was told stays true until the next order.
+        Asking takes the trip away, so a reported trip stays true until the next order.
     over_voltage, over_current
         Levels of the protections; None: they cannot be set by command, or not be read back.
     """

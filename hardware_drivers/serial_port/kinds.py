@@ -23,8 +23,7 @@ def _packages(parameters: SupplyParameters | ClimateParameters) -> tuple[str, ..
     return ("pyserial", "pyvisa", "pyvisa-py") if over_visa else ("pyserial",)
 
 
-# Each port is opened by the first call. What a supply's makers tell of it is asked for and stored by the
-# process of the drive.
+# The first call opens each port. The supply's process queries and stores its maker's data.
 
 
 @contextmanager

@@ -4,9 +4,9 @@ A line is in step with its instrument or it is not. Whatever goes wrong (silence
 cable) takes it out of step, and what an instrument answers too late would then answer the next question:
 so the next call first asks who is there and throws away everything that comes before the expected name.
 Nothing else is ever sent to an instrument that has another. A port stays open over a single fault, since
-opening resets some instruments; it is opened anew when it is gone or its instrument stays silent.
+opening resets some instruments; it is opened again when it is gone or its instrument stays silent.
 
-Instruments differ in how they say a thing: a unit or the question's own header may stand beside a number,
+Instruments differ in how they say a thing: a unit or the question's own header may stand next to a number,
 and every command may come back as an echo. All of that is understood; a wrong unit or a foreign header is
 not, since it answers something else.
 
@@ -37,7 +37,7 @@ SHOWN_BYTES = 60
 """So much of a refused reply is shown."""
 
 ATTEMPTS_PER_OPENING = 3
-"""An instrument that was silent so often in a row is looked for behind a port opened anew."""
+"""An instrument that was silent so often in a row is looked for behind a port opened again."""
 
 LINES_BEFORE_NAME = 32
 """So many late answers are thrown away before the name; more is an instrument that talks by itself."""
@@ -181,7 +181,7 @@ class SerialLine:
                 garbage.append(raw)
             else:
                 strangers.append(reply)
-                if reply.count(",") >= 3:  # maker, model, serial number, firmware: nobody else will answer
+                if reply.count(",") >= 3:  # maker, model, serial number, firmware: no one else will answer
                     break
         subject = f"the instrument at {self.parameters.port}"
         if strangers:
@@ -224,7 +224,7 @@ class SerialLine:
         self._write(command)
         if not self.parameters.terminator:
             with self._translated("be read"):
-                # Only a pause tells this command from the next; nothing is expected in it.
+                # Only a pause separates this command from the next; nothing is expected in it.
                 self._port.read(self.parameters.longest_reply_bytes)  # type: ignore[union-attr] # just written
         elif self._echoes:
             # Awaited, since it must not come in front of the next answer.

@@ -257,8 +257,8 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             try:
                 has_tripped = self._flag(flag, deadline_s)
             except ConnectionLostError as error:
-                # An instrument does not answer what it does not know. Only its own word tells that from a
-                # lost line, and then the protection is told as unknown, never as sound.
+                # An instrument does not answer what it does not know. Only its own word separates that from a
+                # lost line, and then the protection is reported as unknown, never as sound.
                 if not self._reports_undefined(deadline_s):
                     raise
                 self._undefined |= {flag.ask}

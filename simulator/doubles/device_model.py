@@ -53,7 +53,7 @@ RINGING_NS = 5_000_000
 """So long after its contact no strike gives a wave: longer than any record."""
 
 EXIT_ON_DEATH = 70
-"""Exit code of a process that was told to die."""
+"""Exit code of a process that was ordered to die."""
 
 
 HANDLERS: Mapping[str, Handler] = MappingProxyType(

@@ -3,7 +3,7 @@
 `parameters.faults` says which faults a position has; here they are drawn, and strike and chain altered.
 The altered shot takes the same way as a sound one: through the physics, the trigger and the ADC. Each
 active fault leaves its truth with every record of its position, also where it did not act, so that
-detectors can be judged. A missed strike leaves no record: `faults_of_shot` tells it again from the seed.
+detectors can be assessed. A missed strike leaves no record: `faults_of_shot` shows it again from the seed.
 """
 
 from __future__ import annotations

@@ -2,7 +2,7 @@
 
 A file is `MAGIC`, the SHA-256 of the rest, the header's length (u32), the header (JSON, padded with
 spaces to a multiple of 64 bytes): ``[[name, shape], ...]``, and the arrays as little-endian float64.
-It is written beside its place and renamed, so it is complete or absent, whenever its writer ends; what
+It is written next to its place and renamed, so it is complete or absent, whenever its writer ends; what
 a killed writer leaves is swept once it is `STALE_S` old. A damaged file is computed again. A folder that
 cannot be read or written costs time, nothing else. Nothing is flushed to the disk's platters: what a
 power failure spoils is a damaged file.
@@ -137,7 +137,7 @@ def write_arrays(
         unfinished.replace(path)
         _keep_within(path.parent, limit_bytes)
     except OSError as error:
-        # Windows lets nobody replace a file that another process is reading: then it is there already.
+        # Windows lets no one replace a file that another process is reading: then it is there already.
         level = logging.DEBUG if path.is_file() else logging.WARNING
         log.log(level, "cannot keep the arrays in %s (%s); going on without", path.parent, error)
         if unfinished is not None:

@@ -1,7 +1,7 @@
 """Banded Cholesky factors (LAPACK), and what the factors of a family of matrices share.
 
 The matrices of a plate at different depths of its patches differ only there. With the unknowns far from
-the contact first, the first columns of the factor are the same for all; only the rest is factored anew,
+the contact first, the first columns of the factor are the same for all; only the rest is factored again,
 with what the elimination so far has taken from it.
 """
 

@@ -90,7 +90,7 @@ def _tridiagonal_ql(d: FloatArray, e: FloatArray, z: FloatArray) -> bool:
     Parameters
     ----------
     d, e, z
-        float64, shape (n,): diagonal, what stands beside it (the last is zero) and a row vector; they
+        float64, shape (n,): diagonal, what stands next to it (the last is zero) and a row vector; they
         become the eigenvalues, zeros, and the row times the eigenvectors.
 
     Returns

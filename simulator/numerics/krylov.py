@@ -43,7 +43,7 @@ def lanczos(
 
     Returns
     -------
-    diagonal, beside
+    diagonal, off_diagonal
         float64, shape (count,) and (count - 1,): the operator in this basis, a tridiagonal matrix.
     """
     count = len(vectors)

@@ -1,7 +1,7 @@
 """Machine code of the loops that numba compiles, cached on disk where possible.
 
-numba keeps it in `__pycache__` beside the loop's file, in the user's cache folder if that cannot be
-written, or where NUMBA_CACHE_DIR says; if none of them can be written, it compiles anew in each process.
+numba keeps it in `__pycache__` next to the loop's file, in the user's cache folder if that cannot be
+written, or where NUMBA_CACHE_DIR says; if none of them can be written, it compiles again in each process.
 """
 
 from __future__ import annotations

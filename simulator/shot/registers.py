@@ -77,7 +77,7 @@ class Results(NamedTuple):
     sensor_force
         Shape (n_steps * width,).
     contact_force
-        Shape (n_bodies * n_steps * width,): force of every contact; (0,) where nobody asks.
+        Shape (n_bodies * n_steps * width,): force of every contact; (0,) where no one asks.
     defect_j
         Shape (width,): largest defect of the energy balance.
     reflection_step

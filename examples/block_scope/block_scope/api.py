@@ -1,6 +1,6 @@
 """The maker's C library: its functions, status codes and constants, as its manual gives them.
 
-Each function takes the handle of an open unit and returns a status; what it tells it writes where a pointer
+Each function takes the handle of an open unit and returns a status; what it returns it writes where a pointer
 points. Samples are 16 bit whatever the resolution: fewer bits stand in the upper ones.
 """
 

@@ -250,4 +250,4 @@ def bench() -> Iterator[Bench]:
 
 
 DOUBLE = Double(bench=bench, faults=("unplugged", "taken"))
-"""`unplugged`: and plugged in again afterwards; `taken`: by another program before it is opened anew."""
+"""`unplugged`: and plugged in again afterwards; `taken`: by another program before it is opened again."""

@@ -47,8 +47,8 @@ def take(digitizer, scope, volts_v):
 @pytest.mark.parametrize("bits", [8, 12, 14, 16])
 def test_volts_are_those_at_the_input_within_half_a_code(scope, bits):
     volts_v = pulse_v()
-    with opened(resolution_bits=bits) as digitizer:
-        waveform = take(digitizer.digitizer, scope, volts_v).waveform
+    with opened(resolution_bits=bits) as instruments:
+        waveform = take(instruments.digitizer, scope, volts_v).waveform
     code_v = 5.0 / (2 ** (bits - 1) - 1)
     # The record begins with the samples before the trigger: the first that reaches the level, as rounded.
     at_input_v = volts_v[:: round(WAVE_RATE_HZ / 10e6)]
@@ -60,38 +60,38 @@ def test_volts_are_those_at_the_input_within_half_a_code(scope, bits):
 
 
 def test_a_wave_that_exceeds_the_range_is_clipped_and_reported(scope):
-    with opened(range_v=2.0) as digitizer:
-        acquired = take(digitizer.digitizer, scope, pulse_v(peak_v=3.0))
+    with opened(range_v=2.0) as instruments:
+        acquired = take(instruments.digitizer, scope, pulse_v(peak_v=3.0))
     assert acquired.waveform.clipped
     assert acquired.settings["left_its_range"] == "yes"
 
 
 def test_a_falling_slope_takes_the_other_sign(scope):
-    with opened(trigger_slope="falling", trigger_level_v=-0.25) as digitizer:
-        acquired = take(digitizer.digitizer, scope, -pulse_v())
+    with opened(trigger_slope="falling", trigger_level_v=-0.25) as instruments:
+        acquired = take(instruments.digitizer, scope, -pulse_v())
     assert acquired.waveform.volts()[1_000] <= -0.25
     assert acquired.waveform.volts()[999] > -0.25
 
 
 def test_the_next_shot_opens_the_unit_again_after_it_was_unplugged(scope):
-    with opened() as digitizer:
-        first = take(digitizer.digitizer, scope, pulse_v())
-        digitizer.digitizer.arm(KEY)
+    with opened() as instruments:
+        first = take(instruments.digitizer, scope, pulse_v())
+        instruments.digitizer.arm(KEY)
         scope.unplug()
         with pytest.raises(ConnectionLostError, match="NOT_RESPONDING"):
-            digitizer.digitizer.read(TIMEOUT_S)
+            instruments.digitizer.read(TIMEOUT_S)
         scope.plugged_in = True
-        second = take(digitizer.digitizer, scope, pulse_v())
+        second = take(instruments.digitizer, scope, pulse_v())
     np.testing.assert_array_equal(first.waveform.counts, second.waveform.counts)
 
 
 def test_an_old_handle_is_a_lost_connection(scope):
-    with opened() as digitizer:
-        digitizer.digitizer.arm(KEY)
+    with opened() as instruments:
+        instruments.digitizer.arm(KEY)
         scope.unplug()
         scope.plugged_in = True
         with pytest.raises(ConnectionLostError, match="INVALID_HANDLE"):
-            digitizer.digitizer.read(TIMEOUT_S)
+            instruments.digitizer.read(TIMEOUT_S)
 
 
 def test_a_unit_that_another_program_uses_is_busy(scope):
@@ -103,18 +103,18 @@ def test_a_unit_that_another_program_uses_is_busy(scope):
 
 
 def test_a_unit_still_at_work_is_busy(scope):
-    with opened() as digitizer:
-        digitizer.digitizer.arm(KEY)
+    with opened() as instruments:
+        instruments.digitizer.arm(KEY)
         with patch.object(scope, "bs_stop", lambda handle: Status.OK):
-            digitizer.digitizer.disarm()
+            instruments.digitizer.disarm()
         with pytest.raises(BusyError, match="bs_run_block says BUSY"):
-            digitizer.digitizer.arm(KEY)
+            instruments.digitizer.arm(KEY)
 
 
 def test_the_error_shows_the_code_of_an_unknown_status(scope):
-    with opened() as digitizer, patch.object(scope, "bs_run_block", lambda *arguments: 0x1234):
+    with opened() as instruments, patch.object(scope, "bs_run_block", lambda *arguments: 0x1234):
         with pytest.raises(ConfigurationError, match="status 0x1234"):
-            digitizer.digitizer.arm(KEY)
+            instruments.digitizer.arm(KEY)
 
 
 def test_missing_samples_are_an_error(scope):
@@ -125,9 +125,9 @@ def test_missing_samples_are_an_error(scope):
         n_samples.contents.value -= 1
         return status
 
-    with opened() as digitizer, patch.object(scope, "bs_get_values", short):
+    with opened() as instruments, patch.object(scope, "bs_get_values", short):
         with pytest.raises(ConnectionLostError, match="13599 of 13600"):
-            take(digitizer.digitizer, scope, pulse_v())
+            take(instruments.digitizer, scope, pulse_v())
 
 
 def test_a_wait_polls_rarely(scope, monkeypatch):
@@ -143,10 +143,10 @@ def test_a_wait_polls_rarely(scope, monkeypatch):
 
     monkeypatch.setattr("block_scope.unit.time.sleep", sleep)
     monkeypatch.setattr(scope, "bs_is_ready", is_ready)
-    with opened() as digitizer:
-        digitizer.digitizer.arm(KEY)
+    with opened() as instruments:
+        instruments.digitizer.arm(KEY)
         with pytest.raises(AcquisitionTimeoutError, match="no trigger within 1 s"):
-            digitizer.digitizer.read(1.0)
+            instruments.digitizer.read(1.0)
     # Each 2 ms, and once at the end.
     assert len(polls) in (501, 502)
     assert now_s[0] == pytest.approx(1.0)
@@ -178,8 +178,8 @@ def test_a_position_without_an_input_is_refused_when_the_configuration_is_read()
 
 
 def test_the_identity_is_reported(scope):
-    with opened(serial=SERIAL) as digitizer:
-        assert digitizer.identity["serial"] == SERIAL
+    with opened(serial=SERIAL) as instruments:
+        assert instruments.identity["serial"] == SERIAL
     (finding,) = KIND.check(BlockScopeParameters(channels={"B": "A"}), OPENING)
     assert finding.state == "ok"
     assert SERIAL in finding.detail

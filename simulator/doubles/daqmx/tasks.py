@@ -85,7 +85,7 @@ class Task:
         State that stopping goes back to.
     lost
         Status that every call answers since the board was reset or removed, 0 while all is well.
-    begun
+    n_starts
         How often it was started.
     verified
         The present settings have passed; a task can be reserved and yet have new ones.

@@ -1,6 +1,6 @@
 """Watchdog timer of X Series boards: lines go to a safe level when it is not reset in time.
 
-The lines it was told of, and no others: a counter's pulse at another pin runs to its end.
+The lines it was given, and no others: a counter's pulse at another pin runs to its end.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RESET_TIMER = 0
 CLEAR_EXPIRATION = 1
 NO_CHANGE = 10160
 TRISTATE = 10310
-"""Of a line: nobody drives it, its pull-down takes it low."""
+"""Of a line: no one drives it, its pull-down takes it low."""
 LONGEST_TIMEOUT_S = (2**32 - 1) * 8e-9
 """X Series: 32 bits of 8 ns (X Series user manual, chapter 6, "Watchdog Timer")."""
 NEVER = -1.0

@@ -305,7 +305,7 @@ class SerialLink:
 class SocketLink(SerialLink):
     """Instrument on a socket of the loopback interface, whose address survives unplugging.
 
-    It serves one caller, the last one. Being unplugged is told to the caller, as when an instrument is
+    It serves one caller, the last one. Being unplugged is reported to the caller, as when an instrument is
     switched off; a cable that is pulled without a word is `LineFaults.silent`.
     """
 

@@ -7,7 +7,7 @@ fields mean, from the same table of entry points as the C library. A method with
 * A driver's error is a gRPC error of code UNKNOWN with its number in the trailing metadata ``ni-error``
   and its text as details; only a read that got part of its samples answers with `status` in the response.
 * Tasks belong to the server and are known by the names of their sessions: they, their reservations and
-  lines outlive a client that was killed, until somebody clears them or the server ends.
+  lines outlive a client that was killed, until someone clears them or the server ends.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ SONAMES: Final[Mapping[str, str]] = {"nidaqmx": "libnidaqmx.so.1", "niScope": "l
 """File and soname of each library."""
 
 EMPTY_COMPANIONS: Final[Mapping[str, tuple[str, ...]]] = {"niScope": ("libnitclk.so.1",)}
-"""Libraries that a vendor package opens beside its own and never calls: `niscope` leaks without NI-TClk."""
+"""Libraries that a vendor package opens next to its own and never calls: `niscope` leaks without NI-TClk."""
 
 EMPTY_SOURCE: Final = "int double_without_functions;\n"
 

@@ -1,6 +1,6 @@
 """The attributes (NI calls them properties) that the variadic entries read and write.
 
-A number names the attribute and with it the C type of its value; the same table tells the C library
+A number names the attribute and with it the C type of its value; the same table shows the C library
 what to take from the variable arguments.
 """
 

@@ -167,7 +167,7 @@ def krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
     right = plate.load
     for j in range(vectors):
         x = solve(right)
-        for _ in range(2):  # once more takes away what rounding left
+        for _ in range(2):  # again takes away what rounding left
             x -= basis[:j].T @ (mass_basis[:j] @ x)
         mass_x = mass(x)
         norm = math.sqrt(x @ mass_x)
