@@ -32,7 +32,7 @@ Result = Literal["accepted", "done", "refused", "failed"]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuditEntry:
-    """One request of a person.
+    """What somebody asked for.
 
     Attributes
     ----------
