@@ -248,7 +248,7 @@ def test_the_python_of_the_page_tells_hour_0(recording, capsys):
     assert int(capsys.readouterr().out) == parse_utc("2024-01-01T00:00:00Z")
 
 
-def test_a_recording_environmentout_the_quality_gate_is_struck_no_second_time(tmp_path):
+def test_a_recording_made_without_the_quality_gate_is_struck_no_second_time(tmp_path):
     """A re-strike that no recording holds would count as missed and move every strike after it."""
 
     def missing(key: Any, acquired: Any) -> Any:

@@ -24,7 +24,7 @@ from daq_service.processes.data_folder import (
 from daq_service.settings.tree import Settings
 
 
-def test_a_folder_is_environment_its_parts_and_nothing_else(tmp_path: Path) -> None:
+def test_a_folder_is_made_with_its_parts_and_nothing_else(tmp_path: Path) -> None:
     prepare_data_folder(tmp_path / "a" / "b")
     assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == ["live", "logs", "sets"]
 
