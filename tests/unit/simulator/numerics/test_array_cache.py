@@ -171,7 +171,7 @@ def test_every_input_and_every_source_counts_in_the_key(monkeypatch):
     made_with = array_cache._environment()
     assert content_key({"depth": 0.5, "solid": 1}) in keys  # the order does not
     for changed in ("code", "libraries", "blas"):
-        monkeypatch.setattr(array_cache, "_made_with", lambda: made_with | {changed: "another"})  # noqa: B023
+        monkeypatch.setattr(array_cache, "_environment", lambda: made_with | {changed: "another"})  # noqa: B023
         keys.add(content_key({"solid": 1, "depth": 0.5}))
     assert len(keys) == 5
     assert json.dumps(made_with)
