@@ -247,7 +247,7 @@ class Line:
                 heartbeat=self.heartbeat,
                 stop=stop or threading.Event(),
                 report=notify,
-                left_alone=left_alone,
+                unsupervised=left_alone,
                 mono_s=mono_s,
                 helpers=Helpers(
                     compaction=compaction,

@@ -116,7 +116,7 @@ def origins(causes, n=5):
     origin, letters = Origin(), ""
     for number, cause in enumerate(causes):
         origin = next_origin(origin, KINDS[cause], was_active=number > 2, n=n)
-        letters += "e" if origin.elsewhere else "w"
+        letters += "e" if origin.not_wall else "w"
     return letters
 
 
@@ -156,12 +156,12 @@ def test_an_alarm_that_was_active_before_the_set_keeps_its_kind(monkeypatch):
         state, _ = step(state, item, RULES)
     assert was_active == before[LAST + 1 :]
     assert {True, False} == set(was_active)
-    assert state.origin == Origin(elsewhere=True)
+    assert state.origin == Origin(not_wall=True)
 
 
 def test_a_restart_restores_the_origin_of_a_change():
-    kept = json.loads(json.dumps(origin_values(Origin(elsewhere=True, otherwise=3))))
-    assert origin_of(kept, UNDETERMINED) == Origin(elsewhere=True, otherwise=3)
+    kept = json.loads(json.dumps(origin_values(Origin(not_wall=True, n_contrary=3))))
+    assert origin_of(kept, UNDETERMINED) == Origin(not_wall=True, n_contrary=3)
     # An earlier version kept none.
     assert origin_of({}, SENSOR) == Origin(not_wall=True)
     assert origin_of({}, UNDETERMINED) == Origin()
