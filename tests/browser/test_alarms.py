@@ -141,7 +141,7 @@ def test_the_evidence_has_sentences_and_a_figure_that_opens_each_set(service, op
     assert shown["opens"] == list(range(N_SETS - 14, N_SETS))
     assert shown["y"]["assessed"] == [rows[index]["distance_squared"] for index in shown["opens"]]
     assert set(shown["y"]["limit"]) == {24.3}
-    links = box.locator(".proof-sets a")
+    links = box.locator(".evidence-sets a")
     # The baseline's sets are not assessed: three are, and that of the alarm is the last of them.
     assessed = [rows[index] for index in (N_SETS - 4, N_SETS - 3, N_SETS - 2)]
     link_texts = links.all_inner_texts()

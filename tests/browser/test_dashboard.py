@@ -311,9 +311,9 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     filled.say("hold", at, held="held by dashboard: hands in the rig", author="dashboard")
     expect(banner).to_contain_text("Held by dashboard: hands in the rig")
     expect(banner).to_contain_text("Nothing strikes until the test is released")
-    expect(page.locator("#hold")).to_be_hidden()
+    expect(page.locator("#pause")).to_be_hidden()
     # A page opened later shows it too.
-    expect(open_page(service.url).locator("#held")).to_contain_text("hands in the rig")
+    expect(open_page(service.url).locator("#paused")).to_contain_text("hands in the rig")
     page.get_by_role("button", name="Release").click()
     expect(page.get_by_role("button", name="Cancel")).to_be_focused()
     page.get_by_role("button", name="Release now").click()
@@ -333,10 +333,10 @@ def test_a_person_is_prompted_with_the_remaining_time(ordering, ordered, open_pa
     filled.say("asked", at, text="strike C now", **shot)
     expect(banner).to_contain_text("strike C now")
     expect(banner).to_contain_text("Position C, set 4, shot 7")
-    expect(page.locator("#asked-left")).to_have_text(re.compile(r"(10|9) min"))
+    expect(page.locator("#prompt-remaining")).to_have_text(re.compile(r"(10|9) min"))
     # A page opened later also prompts, with the remaining time.
     filled.say("orders", at + 580 * 10**9, text="anything new")
-    expect(open_page(service.url).locator("#asked-left")).to_have_text(re.compile(r"(20|1\d) s"))
+    expect(open_page(service.url).locator("#prompt-remaining")).to_have_text(re.compile(r"(20|1\d) s"))
     filled.say("asked_over", at + 581 * 10**9)
     expect(banner).to_be_hidden()
 

@@ -110,7 +110,7 @@ def test_the_copied_python_has_the_figures_of_the_chart(page, chart, of, field, 
 
 def test_the_copied_python_of_the_test_has_every_position(page):
     data = run_copied(page, "the test")
-    assert set(data["verdicts"]["position"]) == {"B", "C", "D"}
+    assert set(data["assessments"]["position"]) == {"B", "C", "D"}
     assert data["features"]["due_h"].between(4, 12, inclusive="left").all()
     assert len(data["features"]) == 3 * 16
 

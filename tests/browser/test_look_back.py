@@ -329,7 +329,7 @@ def test_the_page_is_accessible_while_it_waits_for_the_first_answer(filled, serv
 
 def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(filled, service, open_page):
     """Position D was coupled again before set 50: its second baseline collects from there on."""
-    asked = {"author": "ben", "because": "coupled anew", "utc_ns": filled.epoch_ns}
+    asked = {"author": "ben", "reason": "coupled anew", "utc_ns": filled.epoch_ns}
     first = frozen_baseline("D", id=4)
     rows = renew("D", filled.settings, first, first_set=RENEWED, **asked)
     filled.catalogue.commit_set(SetCommit(baselines=[first]))

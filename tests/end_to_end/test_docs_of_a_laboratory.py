@@ -149,7 +149,9 @@ def kinds_of_alarms() -> set[str]:
             elif isinstance(kind, ast.Name):
                 found.add(str(texts[kind.id]))
             else:
-                assert ast.unparse(kind) == "found.name", f"{path}: a kind that this test cannot read"
+                assert ast.unparse(kind) == "drive_condition.name", (
+                    f"{path}: a kind that this test cannot read"
+                )
     return found
 
 

@@ -66,7 +66,7 @@ export function chartOffer({ fields, method, positions }, span) {
     files,
     python: [
       "data = {",
-      `    position: test.${table}(${args})[[${columns}]]`,
+      `    position: test.${table === "verdicts" ? "assessments" : table}(${args})[[${columns}]]`,
       `    for position in [${positions.map(literal).join(", ")}]`,
       "}",
     ],
@@ -99,7 +99,7 @@ export function testOffer(span) {
       { title: "Features of confirmation sets", path: `/tables/features?${confirmations}` },
     ],
     python: [
-      `verdicts = test.verdicts(${keywords(range).join(", ")})`,
+      `assessments = test.assessments(${keywords(range).join(", ")})`,
       `features = test.features(${keywords(range).join(", ")})`,
     ],
   };
