@@ -31,7 +31,7 @@ def detection() -> ModuleType:
 @pytest.mark.parametrize("position", ["B", pytest.param("C", marks=pytest.mark.slow)])
 def test_a_corroding_position_alarms_before_thirty_per_cent(detection: ModuleType, position: str) -> None:
     run = detection.Run(position=position, seed=1, scale=1.0, drift=True, hours=60.0, why=True)
-    outcome = detection.carry_out(run)
+    outcome = detection.assess_run(run)
     assert outcome.n_baseline == 48
     assert outcome.first_alarm_h is not None
     assert outcome.first_alarm_h > 24.0
@@ -46,7 +46,7 @@ def test_a_corroding_position_alarms_before_thirty_per_cent(detection: ModuleTyp
 
 @pytest.fixture(scope="module")
 def pristine(detection: ModuleType) -> Any:
-    return detection.carry_out(detection.Run(position="D", seed=1, scale=1.0, drift=False, hours=60.0))
+    return detection.assess_run(detection.Run(position="D", seed=1, scale=1.0, drift=False, hours=60.0))
 
 
 def test_a_pristine_position_keeps_the_design_false_alarm_rate(detection: ModuleType, pristine: Any) -> None:

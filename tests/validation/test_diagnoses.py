@@ -12,7 +12,7 @@ import pytest
 from daq_service.cli.offline.twin_line import assessed_sets
 from daq_service.settings.file import load_settings
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "verdicts.py"
+SCRIPT = Path(__file__).parents[2] / "benchmarks" / "diagnoses.py"
 STRONGER = {"damping_n_s_per_m": 9.0, "contact_damping_n_s_per_m": 70.0}
 BASELINE_H, END_H = 200.0, 320.0
 CORROSION = {"thinning": {"D": {"onset_h": 200.0, "reference_h": 500.0, "depth_fraction": 0.4}}}

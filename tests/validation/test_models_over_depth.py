@@ -38,7 +38,7 @@ def assert_given_by(benchmark, rows):
         size_m = benchmark.PATCHES_M.get(row["patch"])
         chain = ChainParameters(sensor=row["sensor"])
         depth = float(row["depth_fraction"])
-        found = benchmark.numbers(chain, model.plate, size_m, benchmark.STEP_S)(depth)
+        found = benchmark.tof_and_ratio_function(chain, model.plate, size_m, benchmark.STEP_S)(depth)
         expected = float(row["tof_us"]), float(row["amplitude_ratio"])
         assert found[0] == pytest.approx(expected[0], abs=LAST_DIGIT_US, nan_ok=True), row
         assert found[1] == pytest.approx(expected[1], abs=LAST_DIGIT_RATIO, nan_ok=True), row
