@@ -160,7 +160,7 @@ class World:
                 process.run()
             if process.drive.leaves:
                 drive = process.drive
-                handed_over = drive._released_ns is not None and drive._read_port == drive._supply_port
+                handed_over = drive._released_ns is not None and drive._last_read_port == drive._supply_port
                 may_be_on = ("on", "unknown") if handed_over else ("on",)
                 left_on = self.supply.error is None and self.supply.on and drive._drive.output() in may_be_on
                 assert drive._succeeded or not left_on, "it leaves an output on"
@@ -341,7 +341,7 @@ class Supervision(RuleBasedStateMachine):
             mono_s=world.mono_s,
             kill=world.kill,
         )
-        self.recorder.begin(DriveState())
+        self.recorder.take_over(DriveState())
         self.pass_time(seconds)
 
     @rule()

@@ -99,7 +99,7 @@ class Bench:
             self._send,
             mono_s=lambda: self.mono_s,
             now_ns=self.now_ns,
-            chance=lambda: 0.5,
+            random_fraction=lambda: 0.5,
         )
         return self.line
 

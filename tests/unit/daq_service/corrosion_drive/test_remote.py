@@ -392,7 +392,7 @@ def test_the_means_of_a_set_start_after_the_readings_of_its_row(bench: Bench) ->
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.wait_for_row(supply_state="on", voltage_max_v=10.0)
-    bench.remote.begin_window()
+    bench.remote.start_window()
     bench.wait_for_row(current_a=None)
 
 

@@ -123,7 +123,7 @@ def test_a_recorder_that_fails_at_each_set_is_detected(bench: Bench) -> None:
 def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: RecorderStatus) -> None:
     bench.hour = 2.1
     bench.store()
-    bench.word = state
+    bench.status = state
     bench.run(1.5)
     assert bench.alarms() == [("alarm_raised", NO_SET)]
 

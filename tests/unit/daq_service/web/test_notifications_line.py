@@ -230,7 +230,7 @@ def test_a_message_unlogged_after_a_crash_is_repeated_with_the_same_key(make_ben
     bench = make_bench(group_s=10.0)
     bench.alarms.change("hole")
     bench.alarms.change("no_data")
-    monkeypatch.setattr(bench.line, "_sent", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(bench.line, "_finish_sent", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         bench.run(10.0)
     bench.restarted()
@@ -288,7 +288,9 @@ def test_a_dead_receiver_is_tried_again_with_growing_pauses_and_loses_nothing(ma
 
 def test_a_receiver_that_asks_to_wait_is_left_alone_for_so_long(make_bench):
     bench = make_bench()
-    bench.outcomes.append(Outcome(ok=False, told="the receiver answers 429", status=429, retry_after_s=120.0))
+    bench.outcomes.append(
+        Outcome(ok=False, description="the receiver answers 429", status=429, retry_after_s=120.0)
+    )
     bench.alarms.change()
     assert len(bench.run(119.0)) == 1
     assert len(bench.run(2.0)) == 1
@@ -296,7 +298,7 @@ def test_a_receiver_that_asks_to_wait_is_left_alone_for_so_long(make_bench):
 
 def test_a_message_that_is_refused_makes_way_for_the_others(make_bench):
     bench = make_bench()
-    refusal = Outcome(ok=False, told="the receiver answers 422", status=422, refused=True)
+    refusal = Outcome(ok=False, description="the receiver answers 422", status=422, refused=True)
     bench.outcomes += [refusal] * MOST_REFUSALS
     bench.alarms.change()
     bench.run()

@@ -137,7 +137,7 @@ def test_a_backup_sends_no_notifications(filled, receiver):
 
 def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, receiver, monkeypatch):
     """Its timeout is longer than all waits of this test: any delay would fail the test."""
-    patient = Bounds(read_s=10.0 * WAIT_S, whole_s=10.0 * WAIT_S)
+    patient = Bounds(read_s=10.0 * WAIT_S, total_s=10.0 * WAIT_S)
     monkeypatch.setattr("daq_service.processes.notifications.service.Bounds", lambda: patient)
     with http_receiver() as deaf, ExitStack() as stack:
         deaf.silent.set()

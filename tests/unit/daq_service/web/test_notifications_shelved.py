@@ -37,4 +37,4 @@ def test_a_suppressed_alarm_is_not_sent(kind: str, suppressed: str | None, what:
     row = replace(ROW, suppressed=suppressed)
     event = EventRow(id=7, utc_ns=0, topic="alarms", kind=kind, position="B", payload=payload_of(row))
     notification = alarm_change_of(event)
-    assert (notification.what if notification else None) == what
+    assert (notification.change if notification else None) == what

@@ -60,7 +60,7 @@ def test_an_acknowledgement_is_done_within_its_request(ended):
 def test_other_commands_are_rejected_with_a_remedy(ended, finished):
     filled, api = ended
     if not finished:  # killed: only the lock shows that it has ended
-        again = FilledFolder(filled.folder, filled.settings, started=True)
+        again = FilledFolder(filled.folder, filled.settings, exists=True)
         again.say("recorder_started")
         again.close()
     body = ordered(api, "hold", note="door open").json()

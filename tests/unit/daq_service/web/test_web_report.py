@@ -171,7 +171,7 @@ def test_the_report_describes_the_configured_alarm_rule():
 def test_each_figure_shows_each_set_where_it_belongs(filled):
     report_contents = read_contents(filled.folder)
     with client.open(filled.folder) as test:
-        for place in report_contents.places:
+        for place in report_contents.positions:
             columns = {
                 "A": [("thickness_m", test.thickness("A"))],
             }.get(
@@ -322,7 +322,8 @@ def test_the_service_makes_one_at_a_time_and_shows_the_audit_to_admins_alone(fil
 def test_annotations_are_drawn_where_they_begin_and_end(filled):
     report_contents = read_contents(filled.folder)
     drawn = {
-        place.name: figure_of(report_contents, place).count(GREEN.lower()) for place in report_contents.places
+        place.name: figure_of(report_contents, place).count(GREEN.lower())
+        for place in report_contents.positions
     }
     # In each panel: an instant of the whole test everywhere, both ends of the range at B alone.
     assert drawn == {"A": 1, "B": 3 * 3, "C": 3, "D": 3}
@@ -330,4 +331,6 @@ def test_annotations_are_drawn_where_they_begin_and_end(filled):
 
 def test_text_of_a_figure_is_text(filled):
     report_contents = read_contents(filled.folder)
-    assert re.search(r"<text[^>]*>[^<]*time of flight", figure_of(report_contents, report_contents.places[1]))
+    assert re.search(
+        r"<text[^>]*>[^<]*time of flight", figure_of(report_contents, report_contents.positions[1])
+    )

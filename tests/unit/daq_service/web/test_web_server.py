@@ -129,8 +129,8 @@ def test_a_second_request_of_a_connection_is_waited_for_as_the_first(filled, mon
 
 def test_a_response_is_not_interrupted_by_a_slow_next_request(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.01)
-    waited, polls = BoundedHttp._waited, []
-    monkeypatch.setattr(BoundedHttp, "_waited", lambda self: (polls.append(self), waited(self)))
+    waited, polls = BoundedHttp._check_waiting, []
+    monkeypatch.setattr(BoundedHttp, "_check_waiting", lambda self: (polls.append(self), waited(self)))
     with served(filled.settings, filled.folder) as service, connection_to(service) as client:
         client.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /healthz HT")
         until(lambda: len(polls) > 3, "the next request's headers being waited for")
