@@ -162,7 +162,7 @@ def test_a_restart_neither_loses_nor_repeats(make_bench):
     bench.run(200.0)
     event_ids = [item["event_id"] for message in bench.sent for item in message.facts["alarms"]]
     assert event_ids == [goes, while_away, waits]
-    assert (bench.mono_s, bench.told("sent")[-1].utc_ns - BEGAN_NS) == (290.0, 100 * NS_PER_S)
+    assert (bench.mono_s, bench.log_lines("sent")[-1].utc_ns - BEGAN_NS) == (290.0, 100 * NS_PER_S)
 
 
 def test_an_alarm_that_returned_to_normal_during_a_service_stop_is_not_sent(make_bench):
@@ -335,7 +335,7 @@ def test_pending_messages_of_an_unreachable_receiver_are_bounded_and_not_lost(ma
     bench.run(100.0)
     assert bench.line.state.waiting == 21
     bench.run(900.0, at_least_s=1.0)
-    event_ids = [event_id for line in bench.told("sent") for event_id in line.event_ids]
+    event_ids = [event_id for line in bench.log_lines("sent") for event_id in line.event_ids]
     assert sorted(event_ids) == list(range(1, 51))
 
 

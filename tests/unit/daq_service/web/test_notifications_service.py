@@ -120,7 +120,7 @@ def test_a_test_message_returns_its_result_and_only_one_runs_at_a_time(filled, r
         assert client.post(f"{STATE}/duty/test", json={}).json()["told"] == "the receiver answers 410 Gone"
         assert client.post(f"{STATE}/night/test", json={}).json()["hint"] == "The receivers are: duty."
         line = service.app.state.context.notifications.queues["duty"]
-        with line._trying:
+        with line._test_lock:
             refused = client.post(f"{STATE}/duty/test", json={})
         assert (refused.status_code, refused.json()["status"]) == (409, 409)
 
