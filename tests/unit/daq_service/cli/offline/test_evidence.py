@@ -157,7 +157,7 @@ def test_each_column_has_its_count_and_the_outliers_come_first(line):
     }
     outlier = of_b["outlier"]
     assert of_b["limit_name"].n_rows > outlier.n_rows > 1
-    (sentence,) = [words for words in in_words(found) if words.startswith("verdict B")]
+    (sentence,) = [words for words in in_words(found) if words.startswith("assessment B")]
     first = f"outlier in {outlier.n_rows} sets from set {outlier.first_set_index} on"
     assert f"{first}; limit_name in 25 sets from set 0 on" in sentence
 
