@@ -44,7 +44,9 @@ def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int
         if not as_json:
             click.echo(f"{name:<24} {'ok' if results[name].ok else 'FAILED':<7} {results[name].description}")
     if as_json:
-        keys = ("ok", "told", "status")
-        outcomes = {name: {key: getattr(result, key) for key in keys} for name, result in results.items()}
+        outcomes = {
+            name: {"ok": result.ok, "told": result.description, "status": result.status}
+            for name, result in results.items()
+        }
         click.echo(json.dumps({"receivers": outcomes}))
     return EXIT_OK if all(result.ok for result in results.values()) else EXIT_NOT_MET
