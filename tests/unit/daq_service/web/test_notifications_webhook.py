@@ -77,7 +77,7 @@ def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
 def test_a_response_determines_the_outcome(status, headers, message, refused, retry_after_s, receiver):
     receiver.answers.put((status, headers))
     outcome = send(receiver, now_s=lambda: 1_000_000.0)
-    assert message in outcome.told
+    assert message in outcome.description
     assert (outcome.ok, outcome.refused, outcome.retry_after_s) == (status < 300, refused, retry_after_s)
 
 
@@ -93,7 +93,7 @@ def test_redirects_are_not_followed(receiver):
 
 def test_a_silent_receiver_is_given_up_after_the_time_limit(receiver):
     receiver.silent.set()
-    assert send(receiver, bounds=SOON).told == "no answer within 0.2 s"
+    assert send(receiver, bounds=SOON).description == "no answer within 0.2 s"
 
 
 def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit():
