@@ -147,7 +147,7 @@ def test_the_difference_is_from_the_mean_of_the_baseline(api, filled):
 
 def renewed_at(filled, position, first_set):
     """Return the row of a new baseline that is collecting."""
-    asked = {"first_set": first_set, "author": "ben", "because": "coupled anew", "utc_ns": filled.epoch_ns}
+    asked = {"first_set": first_set, "author": "ben", "reason": "coupled anew", "utc_ns": filled.epoch_ns}
     return renew(position, filled.settings, None, **asked)[1]
 
 
