@@ -1,4 +1,4 @@
-"""What a test costs its computer, kept with each set (decision 28): nobody could compute it later."""
+"""Load of the computer and of the recorder, stored with each set (decision 28): not computable later."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ MACHINE_READ = "machine_read"
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ComputerLoad:
-    """The recorder's process and its computer at the end of a set; None: the system does not tell.
+    """State of the recorder's process and its computer at the end of a set; None: not available here.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class ComputerLoadWatch:
         self._last_seconds: dict[str, float] = {}
 
     def read(self, cost: Cost) -> dict[str, Any]:
-        """Give a reading as its event tells it."""
+        """Return a reading as the payload of its event."""
         space, before = self._space(), self._last_seconds
         self._last_seconds = dict(cost.seconds)
         real = isinstance(self._clock, WallClock)

@@ -1,7 +1,7 @@
-"""Sets beside the plan: which were asked for, which of them wait, and what they said.
+"""Unscheduled sets: which were requested, which of them wait, and their results.
 
-All of it follows from the catalogue: what was asked for is an event, what came of it are rows. So a restart
-and a rebuild know it, and nothing is asked for twice.
+All of it follows from the catalogue: a request is an event, its result is rows. So a restart and a rebuild
+know it, and no set is requested twice.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ class Confirmations:
                 self._last_results[str(position)] = last
 
     def take_event(self, event: EventRow) -> None:
-        """Take in what was asked for, once that is stored; other events say nothing of it."""
+        """Add a request, once its event is stored; other events are ignored."""
         if event.kind == CONFIRMATION_ASKED and event.position is not None:
             one = confirmation_from_payload(event.position, event.payload)
             self.asked[one.due.set_index] = self.waiting[one.due.set_index] = one

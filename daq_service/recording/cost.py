@@ -1,4 +1,4 @@
-"""Where the wall time of a run goes, stage by stage: told at its end, stored with its last event."""
+"""Wall time of a run by stage, printed at its end and stored with its last event."""
 
 from __future__ import annotations
 

@@ -29,7 +29,7 @@ def kept_experiment(folder: Path, history: History, archive: SetReader) -> Exper
     Raises
     ------
     OtherExperimentError
-        experiment.json and history tell of two.
+        experiment.json and history name two experiments.
     """
     try:
         kept = read_experiment(folder)
@@ -77,13 +77,13 @@ def foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
 
 
 def _hour_0(record: SetRecord) -> int:
-    """Hour 0, which every file tells by when it was due; since format 1.2 in words, too."""
+    """Return hour 0: every file gives it by its due time, and since format 1.2 as a field."""
     counted: int = record.due_utc_ns - round(record.due_h * NS_PER_H)
     return int(record.provenance.get("experiment", {}).get("epoch_utc_ns", counted))
 
 
 def refuse_foreign(found: Sequence[str], where: str) -> None:
-    """Let no set of another experiment be judged with those of this one.
+    """Raise an error if there are sets of another experiment.
 
     Parameters
     ----------

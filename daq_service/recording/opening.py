@@ -1,4 +1,4 @@
-"""Open the rig: a test that has begun waits for one that is busy or gone, and says so."""
+"""Open the rig; a test that has started waits, with an alarm, for a rig that is busy or gone."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class Opening:
 class OpeningAlarm:
     """Raises ``rig_unavailable`` while the rig cannot be opened, and clears what it raised.
 
-    One that a set has raised is left to the next set: that the rig opens does not say that it answers.
+    An alarm that a set has raised is left to the next set: a rig that opens may still not respond.
     """
 
     def __init__(
@@ -101,11 +101,11 @@ def open_patiently(
     waits_s: Sequence[float],
     alarm: OpeningAlarm,
 ) -> tuple[Rig | None, str]:
-    """Open the rig; a test that has begun waits for what may pass, a new one says so and ends.
+    """Open the rig; a test that has started waits for a passing error, a new test ends with it.
 
     A chassis that reboots, a colleague's panel left open or an unplugged cable must not end a test of two
     weeks: the sets that fall due meanwhile get rows with that cause. Where the supervisor starts the recorder
-    again, nobody stands beside the rig: then whatever the instruments say is waited for.
+    again, no person is at the rig: then it waits after any error of the instruments.
 
     Returns
     -------

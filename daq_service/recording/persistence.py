@@ -1,4 +1,4 @@
-"""What was taken is made durable, acknowledged, filed and looked after; trouble waits and is told."""
+"""Make shots and sets durable, acknowledge them and retry what the disk refuses; report all trouble."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ Idle = Callable[[], bool]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Helpers:
-    """What works beside the line; each may be left out.
+    """Work between sets; each part is optional.
 
     Attributes
     ----------
@@ -147,14 +147,14 @@ class Persistence:
     # Shots and sets -------------------------------------------------------------------------------
 
     def acknowledge(self) -> bool:
-        """Make durable what was taken, and tell its ids; a disk that refuses is told of, and asked again."""
+        """Make shots durable and report their ids; if the disk refuses, report that and retry."""
         if self._refusal():
             return False
         try:
             self._sync()
         except PASSING as error:
             log.warning("not acknowledged yet: %s", error)
-            if self.trouble is None:  # nobody should wait for the end of the set to hear it
+            if self.trouble is None:  # the retry must not wait for the end of the set
                 self._retry_queue.put(self._sync)
             return False
         return True
@@ -169,11 +169,11 @@ class Persistence:
                 self._acknowledged(shot_id)
 
     def were_acknowledged(self, shot_ids: Iterable[int]) -> None:
-        """Tell no more of shots that an earlier recorder has told of."""
+        """Skip the report of shots that an earlier recorder has acknowledged."""
         self._reported_ids.update(shot_ids)
 
     def store(self, record: SetRecord) -> StoredSet:
-        """Make a whole set durable, and tell the ids of its shots."""
+        """Make a complete set durable and report the ids of its shots."""
         stored = self._archive.store_set(record)
         self._report_ids(stored.crc32)
         self._reported_ids.difference_update(stored.crc32)
@@ -240,7 +240,7 @@ class Persistence:
             self._tiles.work(free_s)
 
     def start_verification(self) -> None:
-        """Look which stored sets are gone, and tell of those and of what is in quarantine."""
+        """Find stored sets that are missing; report them and the files in quarantine."""
         if self._verification is not None:
             alarm = self._set_assessor.alarms.get((None, "data_damaged"))
             stands = alarm is not None and alarm.state in ("unacknowledged", "acknowledged")
@@ -278,7 +278,7 @@ class Persistence:
         if self._history is not None:
             self._history.follow(now=True)
 
-    # Trouble is told ------------------------------------------------------------------------------
+    # Reports of trouble ---------------------------------------------------------------------------
 
     def _refusal(self) -> str:
         """Why nothing is stored though the disk would take it; a stop may use the space that is left."""
@@ -316,7 +316,7 @@ class Persistence:
             self._web_is_missing = is_missing
 
     def _report_trouble(self, trouble: Trouble | None) -> None:
-        """Raise or clear the alarm, as far as the catalogue takes it; the heartbeat says it in any case."""
+        """Raise or clear the alarm if the catalogue accepts it; the heartbeat always reports the trouble."""
         self._trouble_until_ns = self._moment().utc_ns
         if trouble is not None:
             self._reported_trouble = trouble.message
@@ -341,7 +341,7 @@ class Persistence:
         self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
 
     def _report_corruption(self, *, at_the_start: bool = False) -> None:
-        """Raise or clear the alarm of stored sets that are damaged or gone, and tell of each new one."""
+        """Raise or clear the alarm of corrupt or missing sets, and report each new one."""
         damaged = dict(self._archive.journal_damage.files)
         for helper in (self._finalizer, self._verification):
             damaged |= {} if helper is None else helper.damaged

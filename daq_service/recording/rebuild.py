@@ -1,4 +1,4 @@
-"""Make a catalogue again: sets are judged anew; what nobody can compute, history and old rows tell."""
+"""Rebuild a catalogue: reassess the sets; restore what cannot be computed from history and old rows."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ class Rebuilt:
     Attributes
     ----------
     kept
-        Name of the old catalogue, which lies beside the new one; empty: there was none.
+        Name of the old catalogue, in the same folder; empty: there was none.
     warnings
         What could not be made again, or is not what it was.
     """
@@ -69,16 +69,16 @@ def rebuild(
     settings: Settings | None = None,
     features_of: FeaturesOf = features_of,
 ) -> Rebuilt:
-    """Make the catalogue of a data folder again; the caller owns the folder.
+    """Rebuild the catalogue of a data folder; the caller owns the folder.
 
-    The old one is replaced when the new one is complete, and kept beside it.
+    The old one is replaced when the new one is complete, and kept in the folder.
 
     Parameters
     ----------
     progress
         Called with the sets that are done and their number.
     settings
-        Refuse a folder of another test; None: whatever test it is.
+        Refuse a folder of another test; None: accept any test.
 
     Raises
     ------
@@ -137,11 +137,11 @@ def rebuild(
 
 
 def _catalogue(folder: Path) -> Salvaged:
-    """Give what the old catalogue still says."""
+    """Return the sound rows of the old catalogue."""
     try:
         return read_sound_rows(folder)
     except SchemaVersionError:
-        raise  # an older one is whole, and has what nobody can compute
+        raise  # an older one is complete, and has what cannot be computed
     except CatalogueError as error:
         return Salvaged(damage=[str(error)])
 
@@ -166,7 +166,7 @@ def _sync(path: Path) -> None:
 
 
 def _update_copies(folder: Path, progress: Progress) -> list[str]:
-    """Let experiment.json, history and tiles say what the new catalogue says; return what tiles lack."""
+    """Update experiment.json, history and tiles to the new catalogue; return what the tiles lack."""
     with open_catalogue(folder, writer=True) as catalogue:
         experiment = catalogue.experiment_row()
         keep_experiment(folder, experiment)

@@ -1,8 +1,8 @@
-"""The recorder: the whole line from strike to alarm, in reading order.
+"""The recorder: the complete line from strike to alarm, in reading order.
 
-`schedule` says which set is due; `take_set` strikes and reads; the archive makes the set durable
-(only now is it acknowledged); the ledger lets the assessors judge it and `alarms.update` carry the alarms,
-and stores all of it in one transaction, whose events are the news. No stage calls an earlier one.
+`schedule` gives the due sets; `take_set` strikes and reads; the archive makes the set durable (only now is it
+acknowledged); the set assessor assesses it and updates the alarms; one transaction stores all of it, and its
+events are published. No stage calls an earlier one.
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ log = logging.getLogger(__name__)
 
 SELF_CALIBRATION_TAKES_NS = 180 * NS_PER_S
 """A board's self-calibration takes up to two minutes: it is begun only when there is time for it. The first
-one comes at once, since nobody knows how long the boards have been warm."""
+one comes at once, since it is unknown how long the boards have been warm."""
 
 OVERSLEPT = "its time went by while the recorder ran: the computer slept, or what came before took too long"
 
@@ -110,7 +110,7 @@ class Recorder:
         self._features_of = features_of_a_rehearsal if rig.dry_run else features_of
         self._archive = archive
         self._live = live
-        # Simulated time has one frame whatever machine it runs on.
+        # Simulated time has one frame on every computer.
         self._boot_id = "simulated" if settings.clock.kind == "simulated" else boot_id()
         self._plan = plan(settings.schedule.phases, epoch_ns, end_h=settings.schedule.end_h)
         self._provenance = provenance(settings, rig, experiment=catalogue.experiment_row())
@@ -154,7 +154,7 @@ class Recorder:
             elif index in damage.sets:
                 self._persistence.do(partial(self._end_again, opened))
             else:
-                self._persistence.file(index)  # a frame of it is damaged: that is told, and the others stay
+                self._persistence.file(index)  # a corrupt frame is reported, the others stay
         sequences = [item.sequence + 1 for opened in self._open.values() for item in opened.records]
         known = [catalogue.next_sequence(), damage.next_sequence, *sequences]
         self._next_sequence = max(known) + damage.n_lost
@@ -181,7 +181,7 @@ class Recorder:
         rig.asking.listen(self._report_request)
 
     def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
-        """Take every set that is still due; False when told to stop.
+        """Take every set that is still due; return False after a stop.
 
         Parameters
         ----------
@@ -238,14 +238,14 @@ class Recorder:
         return finished
 
     def linger(self) -> None:
-        """Listen to the operator, strike nothing, until told to stop."""
+        """Execute commands without striking until the stop."""
         self._doing = "waiting for orders; every set is taken"
         self._free_until_ns = math.inf
         while self._idle():
             self._stop.wait(self._look_every_s)
 
     def leave(self) -> None:
-        """Tell whoever gave an order that was not begun: nobody will carry it out."""
+        """Answer the commands that were not started: the recorder has ended."""
         try:
             self._commands.close("the recorder has ended")
         except (StorageError, OSError) as error:
@@ -301,7 +301,7 @@ class Recorder:
     # Beside the plan -----------------------------------------------------------------------------
 
     def _take_unscheduled(self, *, before: DueSet | None = None) -> None:
-        """Take the sets beside the plan that are asked for, as far as planned sets leave time for them."""
+        """Take the requested unscheduled sets that fit between scheduled sets."""
         for due in self._requested_sets():
             planned, _ = in_order(due.set_index)
             if self._stop.is_set() or (before is not None and planned >= before.set_index):
@@ -326,7 +326,7 @@ class Recorder:
         return [asked[index] for index in sorted(asked.keys() - self._started_unscheduled, key=in_order)]
 
     def _no_time_for(self, due: DueSet, planned: DueSet) -> str:
-        """Why a set beside the plan comes too late, or strikes a retired transducer; empty: it does not."""
+        """Return why an unscheduled set cannot be taken: late or transducer disabled; empty: it can."""
         assert due.position is not None, "it is beside the plan"
         if retired := self._set_assessor.retired().get(due.position):
             return retired
@@ -337,7 +337,7 @@ class Recorder:
         return overlap_reason(confirmations.room_ns(planned, now_ns), confirmations.set_ns)
 
     def _request_confirmation(self, position: str, author: str, note: str) -> Transaction:
-        """Ask for a set beside the plan by a person's order; it is taken once the line is free.
+        """Request an unscheduled set by a person's command; it is taken when the line is free.
 
         Raises
         ------
@@ -354,7 +354,7 @@ class Recorder:
         return list(self._settings.positions) if due.position is None else [due.position]
 
     def _not_of(self, due: DueSet) -> dict[str, str]:
-        """Positions that a set beside the plan leaves out."""
+        """Return the positions that an unscheduled set leaves out, with the reason."""
         return {
             name: f"a confirmation set of {due.position}"
             for name in self._settings.positions
@@ -396,7 +396,7 @@ class Recorder:
         return taken
 
     def _dated(self, opened: OpenSet) -> OpenSet:
-        """Give a set whose first frame is damaged what its rows or the schedule say of it."""
+        """Complete a set with a corrupt first frame from its rows or the schedule."""
         index = opened.set_index
         rows = self._catalogue.rows(SetRow, first_set=index, last_set=index, purpose="any")
         known = [row.due_utc_ns for row in rows] + [due.due_utc_ns for due in self._plan[index : index + 1]]
@@ -440,7 +440,7 @@ class Recorder:
         return self._persistence.acknowledge()
 
     def _take(self, due: DueSet, taken: TakenSet) -> None:
-        """Strike and read; whatever happens, what came before it is kept."""
+        """Strike and read; every measurement before an error is kept."""
         set_plan = SetPlan(
             due=due,
             positions={
@@ -491,7 +491,7 @@ class Recorder:
             self._live.show(measurement, due_h=due.due_h, features=taken.features.get(measurement.sequence))
 
     def _persist_and_assess(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
-        """First durable, then judged: nobody hears of a shot that a power cut could take away."""
+        """Make a set durable, then assess it: no shot is reported that a power cut could lose."""
         self._announce(f"storing {_name_of(due)}")
         record = self._record_of(due, taken, self._corruption_of.get(due.set_index, cut_short_reason))
         self._next_sequence = max(self._next_sequence, *(item.sequence + 1 for item in record.records))
@@ -714,12 +714,12 @@ class Recorder:
         return "; ".join(filter(None, (self._doing, self._request, self._persistence.waiting)))
 
     def _announce(self, doing: str) -> None:
-        """Say at once what is begun: should it never end, the supervisor tells what hung."""
+        """Report an activity at once: if it hangs, the supervisor can name it."""
         self._doing = doing
         self._heartbeat.beat(self._doing_now())
 
     def _idle(self) -> bool:
-        """Between sets there is time for what works beside the line."""
+        """Run the background work between sets."""
         self._persistence.work((self._free_until_ns - self._rig.clock.utc_ns()) / NS_PER_S)
         return self._beat_and_listen()
 
@@ -736,7 +736,7 @@ class Recorder:
         if self._persistence.trouble is None:
             self._persistence.do(self._listen)
         else:
-            with suppress(*PASSING):  # the trouble is told; a hold is heard as soon as it can be read
+            with suppress(*PASSING):  # the trouble is reported; a pause takes effect once it is readable
                 self._listen()
         if self._set_assessor.drive is not None:
             self._set_assessor.drive.tick(self._hour())

@@ -1,7 +1,7 @@
-"""A test told again: its sets judged in the order of their commits, between what people and devices did.
+"""Replay a stored test: reassess its sets in commit order, with all actions of people and devices.
 
-Events give the order: what has ids in them was committed in this order. The events of one set stand together;
-what stands alone is an order, an alarm of a device, a word of the recorder.
+Events give the order: their ids are those of the commits. The events of one set are consecutive; a single
+event is a command, an alarm of a device or a message of the recorder.
 """
 
 from __future__ import annotations
@@ -60,13 +60,13 @@ _STORED_ROWS: Mapping[str, type[Row]] = {
     "set_judged": AssessmentRow,
     "environment_read": EnvironmentRow,
 }
-"""Kinds of events that tell a whole row."""
+"""Kinds of events that hold a complete row."""
 _COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_judged")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class StoredHistory:
-    """What is known of a test beside its sets.
+    """Events and checksums of a test that its sets do not hold.
 
     Attributes
     ----------
@@ -87,11 +87,11 @@ class Replayed:
     Attributes
     ----------
     damaged
-        Sets that cannot be read, or not wholly: of these the rows say what was told of them.
+        Sets that cannot be read completely: their rows are those of the history.
     foreign
         Sets of another experiment.
     differing
-        Results that are not what was told when the set was taken.
+        Results that differ from those stored when the set was taken.
     """
 
     sets: int = 0
@@ -155,7 +155,7 @@ class _Replay:
             if set_index is None:
                 self._pass(events)
                 continue
-            # A set of which every event is lost is told before the next one.
+            # A set without any event is assessed before the next one.
             while without_events and in_order(without_events[0]) < in_order(set_index):
                 self._assess(without_events[0], files.pop(without_events.pop(0)), [], range(0))
             free = _free_ids(events, runs[number - 1][1] if number else [], runs[number + 1 : number + 2])
@@ -174,7 +174,7 @@ class _Replay:
         return self._result
 
     def _pass(self, events: Sequence[EventRow]) -> None:
-        """Take in what belongs to no set: of orders, those that change what later sets are judged by."""
+        """Apply an event without a set, such as a command that changes later assessments."""
         self._catalogue.restore(events)
         for event in events:
             self._take_alarm(event)
@@ -195,7 +195,7 @@ class _Replay:
             self._set_assessor.alarms[(row.position, row.kind)] = row
 
     def _restore_rows(self, events: Sequence[EventRow]) -> None:
-        """Give a set without a record the rows that were told of it."""
+        """Restore the stored rows of a set without waveforms."""
         transaction = _with_stored_rows(Transaction(), events)
         transaction.sets = self._completed_sets(transaction.sets)
         self._commit(transaction, events)
@@ -207,7 +207,7 @@ class _Replay:
             self._set_assessor = self._renewed()
 
     def _completed_sets(self, stored: Sequence[SetRow]) -> list[SetRow]:
-        """Complete rows that were told: no event tells of a position left out of a set with records."""
+        """Complete the stored rows: a position that a set leaves out has no event."""
         rows = {row.position: row for row in stored}
         of_the_plan = stored and stored[0].purpose is None
         for position, cause in self._set_assessor.retired().items() if of_the_plan else ():
@@ -220,7 +220,7 @@ class _Replay:
         return [rows[position] for position in self._settings.positions if position in rows]
 
     def _renewed(self) -> SetAssessor:
-        """Judge on as after a restart: by what the rows say, since the records are not all there."""
+        """Continue as after a restart, from the stored rows, since waveforms are missing."""
         self._catalogue.restore(self._alarms.values())
         try:
             return self._new_ledger()
@@ -280,7 +280,7 @@ class _Replay:
         self, transaction: Transaction, events: Sequence[EventRow], *, computed_alarms: bool = False
     ) -> None:
         if computed_alarms:
-            # Nothing was told of this set: its alarms are what it says.
+            # This set has no events: its alarms follow from its assessment.
             self._catalogue.restore(self._alarms.values())
             transaction.events = list(events)
             self._set_assessor.commit(transaction)
@@ -295,11 +295,11 @@ class _Replay:
     def _placed(
         self, computed: Sequence[EventRow], stored: Sequence[EventRow], free: Sequence[int]
     ) -> list[EventRow]:
-        """Events as they were told; one that is lost gets its own id again where it can be known."""
+        """Return the stored events; a lost one gets its old id if that can be derived."""
         if not stored:
             return list(computed)
         known = {_key(event) for event in stored}
-        # A set beside the plan was asked for or not: that is told, never computed.
+        # The request of an unscheduled set is stored, never computed.
         lost = [
             event
             for event in computed
@@ -323,14 +323,14 @@ def _free_ids(
     before: Sequence[EventRow],
     following: Sequence[tuple[int | None, Sequence[EventRow]]],
 ) -> list[int]:
-    """Ids that nobody has beside and between the events of a set."""
+    """Return the unused ids around and between the events of a set."""
     first = (before[-1].id or 0) if before else 0
     last = (following[0][1][0].id or 0) if following else (events[-1].id or 0) + 1
     return sorted(set(range(first + 1, last)) - {event.id for event in events if event.id is not None})
 
 
 def _row_with_id(kind: type[R], event: EventRow, name: str) -> R:
-    """Row that an event tells whole, its id under a name of its own."""
+    """Return the complete row of an event, whose id has a name of its own."""
     columns = {column: event.payload[column] for column in kind.__slots__ if column in event.payload}
     return kind(**{**columns, "id": event.payload[name]})
 
@@ -342,7 +342,7 @@ def _key(event: EventRow) -> tuple[str, str, str | None]:
 def _with_stored_rows(
     transaction: Transaction, events: Sequence[EventRow], *, all_rows: bool = False
 ) -> Transaction:
-    """Put rows that were told in the place of computed ones: those that say how a set ended.
+    """Replace computed rows by stored ones: those of how a set ended.
 
     Parameters
     ----------
@@ -389,7 +389,7 @@ def _differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> li
 
 
 def _stored_columns(stored: EventRow, computed: EventRow) -> bytes:
-    """Payload with the columns that were told: an earlier version had fewer."""
+    """Return the payload with the stored columns: an earlier version had fewer."""
     return _json({name: value for name, value in computed.payload.items() if name in stored.payload})
 
 

@@ -12,7 +12,7 @@ from daq_service.processes.heartbeat import Beat, time_line_of
 from hardware_drivers.nanoseconds import NS_PER_S
 
 CLOCK_STEP, CLOCK_BELIEVED = "clock_step", "clock_believed"
-"""Events that tell how far the system's clock is ahead of the test's time."""
+"""Events that hold how far the system's clock is ahead of the test's time."""
 
 EARLIEST_UTC = "2025-01-01T00:00:00Z"
 """Nobody had this software before: a machine without a clock of its own starts in 1970, 2000 or 2010."""
@@ -30,7 +30,7 @@ def time_before(
     """Gather it from the newest rows and, on the same boot, from the last sign of life.
 
     The heartbeat is a hint that a power cut may take; but then the boot is another one, and its pair of times
-    worth nothing. What the system's clock was ahead by is what was told, and stored, last.
+    unreliable. The offset of the system's clock is the one that was stored last.
 
     Parameters
     ----------

@@ -188,7 +188,7 @@ def record(
             filed=note_file,
             also=tiles,
         )
-        # One that has no rows yet gets them first: its file holds what they say.
+        # One that has no rows yet gets them first: its file holds a copy of them.
         for set_index in sorted(catalogue.committed_sets(archive.to_compact())):
             finalizer.put(set_index)
         stack.callback(finalizer.close)
@@ -241,7 +241,7 @@ def record(
 
 
 def _rebuilt_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
-    """Make a lost catalogue again before anything is recorded; what is told of it, empty: none was lost."""
+    """Rebuild a lost catalogue before recording; return the event's payload, empty: none was lost."""
     if not is_catalogue_lost(folder):
         return {}
     log.error("the catalogue of %s is lost and made again from sets, journal and history", folder)
@@ -320,7 +320,7 @@ def _store_stop(
 
 
 def _why_not_running(catalogue: RecorderCatalogue, beat: Beat | None, restart_reason: str) -> str:
-    """Why nobody recorded until now, as far as the supervisor, the catalogue or the heartbeat know."""
+    """Return why no recorder ran until now, by the supervisor, the catalogue or the heartbeat."""
     if restart_reason:
         return f"the recorder {restart_reason}"
     last_event = catalogue.last_service_event(*PROCESS_EVENTS)

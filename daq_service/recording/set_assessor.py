@@ -1,4 +1,4 @@
-"""Every planned set ends as rows: judged, empty, missed or retired, in one transaction with its alarms."""
+"""Turn every set into rows: assessed, empty, missed or retired, in one transaction with its alarms."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ log = logging.getLogger(__name__)
 
 
 class SetAssessor:
-    """Judges what was taken and writes it down; holds what later sets are judged by.
+    """Assesses sets and stores the results; holds the state for the assessment of later sets.
 
     Parameters
     ----------
     rig
-        None where sets are judged that were taken long ago; ``rehearsal`` says then whether they are noise.
+        None for sets of a stored test; ``rehearsal`` then states whether they are noise only.
     news
         Called for each ``alarm`` that has changed and each ``gap``, once it is stored.
 
@@ -57,7 +57,7 @@ class SetAssessor:
     proven
         A whole set was taken in this folder: from then on trouble of its instruments costs sets only.
     confirmations
-        Sets beside the plan.
+        Unscheduled sets.
     drive
         The corrosion drive; None where the test has neither supply nor climate probe.
     """
@@ -101,7 +101,7 @@ class SetAssessor:
         self.alarms |= {(row.position, row.kind): row for row in rows}
 
     def passed(self, row: SetRow) -> Sequence[Condition]:
-        """Take in the row of a set that gave not one record, as it was stored; what it says of alarms."""
+        """Update the state with the stored row of a set without waveforms; return its alarm conditions."""
         position_result = self._assessor(row.position).assess_empty_set(
             DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
             row.n_missed - row.n_restrikes,
@@ -113,7 +113,7 @@ class SetAssessor:
         return retired_positions(self.alarms.values())
 
     def reinstated(self, position: str) -> None:
-        """Forget what retired a transducer: a person says that it may strike again."""
+        """Reset the reason why a transducer was disabled: a person has enabled it."""
         self._assessor(position).reinstate()
 
     def renewed(self, position: str) -> None:
@@ -145,7 +145,7 @@ class SetAssessor:
     ) -> Transaction:
         """Assess every position, once: rows, alarms and events of one transaction, to be committed.
 
-        A set beside the plan is judged at its own position, and changes nothing that others are judged by.
+        An unscheduled set is assessed at its own position, and does not change later assessments.
 
         Parameters
         ----------
@@ -190,7 +190,7 @@ class SetAssessor:
         rig_now = self._rig_condition(due, record)
         if due.position is not None:
             self._add_confirmation(due.position, transaction, moment)
-            if rig_now.present:  # that one position is well again says nothing of the other instruments
+            if rig_now.present:  # one position that works proves nothing of the other instruments
                 self._carry_alarm(rig_now, moment, transaction)
             return transaction
         self._carry_alarm(rig_now, moment, transaction)
@@ -207,7 +207,7 @@ class SetAssessor:
         return list(self._settings.positions) if due.position is None else [due.position]
 
     def _add_confirmation(self, position: str, transaction: Transaction, moment: Moment) -> None:
-        """Let the alarm of a change that stands at a position say what its confirmation set says."""
+        """Add the result of a confirmation set to the active alarm of its position."""
         assessment = transaction.assessments[0] if transaction.assessments else None
         payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
         for kind in ALARMS_OF_CHANGE:
@@ -290,7 +290,7 @@ class SetAssessor:
             self._delayed_since_ns[(event.position, payload["alarm_kind"])] = payload["since_utc_ns"]
 
     def _with_environment(self, due: DueSet, moment: Moment, transaction: Transaction) -> Transaction:
-        """Add what supply and climate probe said since the last set."""
+        """Add the readings of supply and climate probe since the last set."""
         if self.drive is not None:
             self.drive.add_row(transaction, due, moment)
         return transaction
@@ -313,7 +313,7 @@ class SetAssessor:
         self._report_changes(transaction)
 
     def _report_changes(self, transaction: Transaction) -> None:
-        """Tell whoever started the test what is not as it should be, and what is again."""
+        """Report gaps and alarm changes to the program that started the test."""
         for event in transaction.events:
             self.take_stored(event)
         self.confirmations.take_rows(transaction)
@@ -344,7 +344,7 @@ class SetAssessor:
         causes
             Why there is none, by position.
         tried
-            What was tried, which tells of the instruments; None: nothing was.
+            The attempts, which show the state of the instruments; None: there were none.
         """
         moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
         transaction = Transaction()
