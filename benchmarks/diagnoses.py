@@ -31,7 +31,7 @@ from typing import Any
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from cause_slopes import MEAN_TILT_RAD, slopes, walls
+from diagnosis_slopes import MEAN_TILT_RAD, slopes, walls
 
 from analysis.diagnosis.diagnose import diagnosis_of, state_with_diagnosis
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL

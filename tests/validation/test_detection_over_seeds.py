@@ -55,7 +55,7 @@ def test_a_pristine_position_keeps_the_design_false_alarm_rate(detection: Module
     assert outcome.first_alarm_h is None
     assert low <= outcome.outliers <= high
     # 72 assessed sets at the nominal rate; 400 draws of a count that scatters by less than 1.
-    assert expected == pytest.approx(0.0027 * outcome.assessed, abs=0.2)
+    assert expected == pytest.approx(0.0027 * outcome.assessed_rows, abs=0.2)
 
 
 def test_the_baseline_scatters_as_assumed(pristine: Any) -> None:
