@@ -174,30 +174,6 @@ def restored_pulse_echo(
     return assessor
 
 
-def thickness_interval_m(
-    last: ThicknessRow, settings: Settings, catalogue: Catalogue, archive: SetReader
-) -> tuple[float, float] | None:
-    """Recompute the 95 % interval of a reading from its record and the reference, in m; None if it has none.
-
-    Raises
-    ------
-    ArchiveError
-        One of the two records cannot be read.
-    """
-    from analysis.errors import AnalysisError
-    from daq_service.assessment.pulse_echo import PulseEchoAssessor
-
-    first = catalogue.first_reading(last.position)
-    if first is None or last.thickness_m is None:
-        return None
-    assessor = PulseEchoAssessor(last.position, settings)
-    try:
-        _restore_reference(assessor, first, catalogue, archive)
-        return assessor.interval_m(_echo_of(last, catalogue, archive))
-    except AnalysisError:  # assessed with other settings, with which it had an interval
-        return None
-
-
 def _restore_reference(
     assessor: PulseEchoAssessor, first: ThicknessRow, catalogue: Catalogue, archive: SetReader
 ) -> None:

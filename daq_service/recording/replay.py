@@ -53,15 +53,15 @@ _STORED_ROWS: Mapping[str, type[Row]] = {
     "set_done": SetRow,
     "set_partial": SetRow,
     "set_missed": SetRow,
-    "set_retired": SetRow,
+    "set_disabled": SetRow,
     "set_features": FeatureRow,
     "thickness_read": ThicknessRow,
     "baseline_frozen": BaselineRow,
-    "set_judged": AssessmentRow,
+    "set_assessed": AssessmentRow,
     "environment_read": EnvironmentRow,
 }
 """Kinds of events that hold a complete row."""
-_COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_judged")
+_COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_assessed")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -200,7 +200,7 @@ class _Replay:
         transaction.sets = self._completed_sets(transaction.sets)
         self._commit(transaction, events)
         for row in transaction.sets:
-            if row.purpose is None and row.state != "retired" and not row.n_taken and row.n_missed:
+            if row.purpose is None and row.state != "disabled" and not row.n_taken and row.n_missed:
                 self._set_assessor.passed(row)
         if any(row.n_taken for row in transaction.sets):
             self._result.damaged.append(f"set {transaction.sets[0].set_index}: its file is gone")

@@ -289,6 +289,7 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
         epoch_utc_ns=parse_utc(settings.clock.epoch) if simulated else hour_0(time.time_ns()),
         clock=settings.clock.kind,
         solimon_version=version("solimon"),
+        site=settings.site or None,
     )
     return row.epoch_utc_ns
 

@@ -160,7 +160,7 @@ class SetAssessor:
         suspicions: dict[str, str] = {}
         for position in self._positions_of(due):
             if position not in causes:
-                cause = retired.get(position, "retired")
+                cause = retired.get(position, "disabled")
                 transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
@@ -183,9 +183,9 @@ class SetAssessor:
             transaction.add_position(row, measurements, position_result, moment, record.outcomes)
             suspicions[position] = position_result.suspicion
             for condition in position_result.conditions:
-                further = self.confirmations.proof(condition, due.set_index)
+                further = self.confirmations.evidence(condition, due.set_index)
                 self._carry_alarm(
-                    replace(condition, proof=dict(condition.proof) | further), moment, transaction
+                    replace(condition, evidence=dict(condition.evidence) | further), moment, transaction
                 )
         rig_now = self._rig_condition(due, record)
         if due.position is not None:
@@ -276,7 +276,11 @@ class SetAssessor:
             transaction.add_event(DELAY_EVENT, delay, moment, position=condition.position, topic="alarms")
         change = None if to_follow is None else update(row, to_follow, moment)
         if change is not None:
-            if self.drive is not None and condition.kind == "hole" and change.event_kind == "alarm_raised":
+            if (
+                self.drive is not None
+                and condition.kind == "no_reflection"
+                and change.event_kind == "alarm_raised"
+            ):
                 # At once: through a hole the solution reaches what it should not, and the current with it.
                 self.drive.trip(condition.message, moment.due_h)
             transaction.add_alarm(change, moment)
@@ -330,7 +334,7 @@ class SetAssessor:
                 "alarm",
                 change=transaction.events[at].kind,
                 hour=alarm.raised_h + since_h,
-                severity=alarm.severity,
+                priority=alarm.priority,
                 message=alarm.message,
             )
 
@@ -388,7 +392,7 @@ class SetAssessor:
             method=self._settings.positions[position].method,
             due_utc_ns=due.due_utc_ns,
             due_h=due.due_h,
-            state="retired" if retired else "missed",
+            state="disabled" if retired else "missed",
             cause=cause or None,
             n_planned=0 if retired else self.n_planned(position),
             purpose=None if due.position is None else "confirmation",

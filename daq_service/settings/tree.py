@@ -19,7 +19,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, HoleRule
 from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
-from daq_service.settings.alarm_delays import AlarmKindSettings
+from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS, AlarmKindSettings
 from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.web import WebSettings
@@ -38,6 +38,7 @@ FILLED_AT_MOST = 0.99
 """Of the time from set to set by strikes: a set that fills all of it begins later each time, until one is
 missed."""
 HASHED_OUT: Mapping[str, Any] = {
+    "site": True,
     "web": True,
     "notifications": True,
     "clock": {"pace_h_per_s", "doubt_after_h"},
@@ -247,6 +248,13 @@ class AlarmSettings(Section):
     kinds: dict[str, AlarmKindSettings] = Field(default_factory=dict)
     """Delays and dead-band by kind of alarm; a kind that is not named follows its condition at once."""
 
+    @field_validator("kinds", mode="before")
+    @classmethod
+    def _current_kinds(cls, kinds: object) -> object:
+        if not isinstance(kinds, Mapping):
+            return kinds
+        return {EARLIER_ALARM_KINDS.get(kind, kind): rule for kind, rule in kinds.items()}
+
     @field_validator("kinds")
     @classmethod
     def _kinds_may_wait(cls, kinds: dict[str, AlarmKindSettings]) -> dict[str, AlarmKindSettings]:
@@ -312,6 +320,8 @@ class Settings(BaseSettings):
 
     name: str = Field(default="Localized corrosion of a steel plate", min_length=1, max_length=200)
     """Name of the experiment."""
+    site: str = Field(default="", max_length=200)
+    """Where the test runs, for readers of its files; stored when the test is created."""
     clock: ClockSettings = ClockSettings()
     schedule: ScheduleSettings = ScheduleSettings()
     rig: RigSettings = RigSettings()

@@ -221,7 +221,7 @@ def nothing_is_left(doubles: DoublesControl) -> bool:
 
 def sets_and_alarm(folder: Path) -> tuple[list[Mapping[str, Any]], Mapping[str, Any]]:
     with open_catalogue(folder) as catalogue:
-        (alarm,) = [row for row in catalogue.rows(AlarmRow) if row.kind == "rig_unavailable"]
+        (alarm,) = [row for row in catalogue.rows(AlarmRow) if row.kind == "instruments_unavailable"]
         return catalogue.rows(SetRow, position="D"), alarm
 
 

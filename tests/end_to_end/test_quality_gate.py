@@ -314,7 +314,7 @@ def test_rows_made_from_an_orphaned_file_are_those_of_the_recorder(
 
     assert run(only("ABC", two_hours()), tmp_path / "whole", rig=disturbed_rig(disturb))
     whole = rows_of(tmp_path / "whole")
-    assert {row.kind for row in whole["alarms"]} == {"rig_unavailable"}
+    assert {row.kind for row in whole["alarms"]} == {"instruments_unavailable"}
     commit_set = RecorderCatalogue.commit_set
     with monkeypatch.context() as patch:
         patch.setattr(RecorderCatalogue, "commit_set", killing)
@@ -346,15 +346,15 @@ def silent_one(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_a_silent_transducer_raises_no_data_and_is_then_disabled(silent_one: Path) -> None:
     states = [row.state for row in sets_of(silent_one, "B")]
-    assert states == ["done"] + ["missed"] * 4 + ["retired"] * 3
+    assert states == ["done"] + ["missed"] * 4 + ["disabled"] * 3
     assert {row.state for row in sets_of(silent_one, "D")} == {"done"}
     alarms = alarms_of(silent_one)
-    assert set(alarms) == {("B", "no_data"), ("B", "retired")}
-    assert alarms["B", "no_data"].raised_set_index == 2, "the second silent set"
-    assert alarms["B", "retired"].raised_set_index == 4, "the fourth silent set"
-    assert alarms["B", "retired"].severity == "high"
-    assert "strikes no more" in alarms["B", "retired"].message
-    assert sets_of(silent_one, "B")[-1].cause == alarms["B", "retired"].message
+    assert set(alarms) == {("B", "few_valid_shots"), ("B", "transducer_disabled")}
+    assert alarms["B", "few_valid_shots"].raised_set_index == 2, "the second silent set"
+    assert alarms["B", "transducer_disabled"].raised_set_index == 4, "the fourth silent set"
+    assert alarms["B", "transducer_disabled"].priority == "high"
+    assert "strikes no more" in alarms["B", "transducer_disabled"].message
+    assert sets_of(silent_one, "B")[-1].cause == alarms["B", "transducer_disabled"].message
 
 
 @pytest.mark.parametrize("last", [2, 4, *(pytest.param(n, marks=pytest.mark.slow) for n in (1, 3))])
@@ -388,7 +388,7 @@ def test_a_valid_shot_in_between_restarts_the_count(tmp_path: Path) -> None:
         "missed",
         "missed",
     ]
-    assert ("B", "retired") not in alarms_of(tmp_path)
+    assert ("B", "transducer_disabled") not in alarms_of(tmp_path)
 
 
 @pytest.mark.parametrize("restart", [pytest.param(False, marks=pytest.mark.slow), True])
@@ -411,9 +411,11 @@ def test_an_enabled_transducer_strikes_again_and_its_count_restarts(tmp_path: Pa
         assert run(settings, tmp_path, rig=disturbed_rig(quiet))
     assert answers(tmp_path) == [("reinstate", "done", "B strikes again from the next set")]
     states = [row.state for row in sets_of(tmp_path, "B")]
-    assert states == ["missed"] * 8 + ["retired"] * 2
+    assert states == ["missed"] * 8 + ["disabled"] * 2
     with open_catalogue(tmp_path) as catalogue:
-        first, second = (row for row in catalogue.rows(AlarmRow, position="B") if row.kind == "retired")
+        first, second = (
+            row for row in catalogue.rows(AlarmRow, position="B") if row.kind == "transducer_disabled"
+        )
     assert (first.state, first.acknowledged_by, first.note) == ("normal", "ann", "new coil")
     assert (second.state, second.raised_set_index) == ("unacknowledged", 7)
 
@@ -430,9 +432,9 @@ def test_a_dismissed_hole_needs_two_silent_sets_again(tmp_path: Path, restart: b
     if restart:
         assert run(settings, tmp_path)
     # Sets 5 and 6 make the hole, set 7 is the first one after the reinstatement.
-    assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] * 9 + ["retired"] * 3
+    assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] * 9 + ["disabled"] * 3
     with open_catalogue(tmp_path) as catalogue:
-        first, second = (row for row in catalogue.rows(AlarmRow, position="B") if row.kind == "hole")
+        first, second = (row for row in catalogue.rows(AlarmRow, position="B") if row.kind == "no_reflection")
     assert (first.state, second.raised_set_index) == ("normal", 8)
 
 
@@ -448,7 +450,7 @@ def test_an_operator_disables_and_enables_between_sets(tmp_path: Path) -> None:
     settings = small_settings(schedule={"end_h": 3.0})
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
     rows = sets_of(tmp_path, "C")
-    assert [row.state for row in rows] == ["done"] + ["retired"] * 2 + ["done"] * 3
+    assert [row.state for row in rows] == ["done"] + ["disabled"] * 2 + ["done"] * 3
     assert {row.cause for row in rows[1:3]} == {"retired by ann: sensor taken off"}
     assert [(state, result) for _, state, result in answers(tmp_path)] == [
         ("done", "C strikes no more"),
@@ -470,8 +472,8 @@ def test_a_transducer_disabled_during_its_set_is_not_struck_again(tmp_path: Path
     assert [(row.state, row.n_taken) for row in rows] == [
         ("done", 3),
         ("partial", 1),
-        ("retired", 0),
-        ("retired", 0),
+        ("disabled", 0),
+        ("disabled", 0),
     ]
     assert rows[1].cause == "retired by ann: coil is hot"
     assert {row.state for row in sets_of(tmp_path, "D")} == {"done"}
@@ -482,14 +484,14 @@ def test_a_transducer_disabled_during_its_set_is_not_struck_again(tmp_path: Path
 def test_a_transducer_disabled_after_its_shots_keeps_them(tmp_path: Path) -> None:
     orders: list[Order] = [(IN_SET_1, "retire", {"position": "B"})]
     assert run(only("BC", two_hours()), tmp_path, rig=ordering_rig(tmp_path, orders))
-    assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "done", "retired", "retired"]
+    assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "done", "disabled", "disabled"]
     assert [row.state for row in sets_of(tmp_path, "C")] == ["done"] * 4
 
 
 def test_a_transducer_enabled_during_a_set_starts_with_the_next_one(tmp_path: Path) -> None:
     orders: list[Order] = [(0.4, "retire", {"position": "B"}), (IN_SET_1, "reinstate", {"position": "B"})]
     assert run(only("BC", two_hours()), tmp_path, rig=ordering_rig(tmp_path, orders))
-    assert [row.state for row in sets_of(tmp_path, "B")] == ["retired", "retired", "done", "done"]
+    assert [row.state for row in sets_of(tmp_path, "B")] == ["disabled", "disabled", "done", "done"]
     assert "B" not in {place.position for place in read_set(set_files(tmp_path)[1]).positions}
 
 
@@ -591,15 +593,15 @@ def test_three_consecutive_lost_connections_end_a_set_and_the_next_is_taken(tmp_
     assert sets_of(tmp_path, "B")[1].state == "done"
     reasons = {item.reason for item in read_set(set_files(tmp_path)[1]).missed}
     assert reasons == {"connection_lost"}
-    alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
+    alarm = alarms_of(tmp_path)[None, "instruments_unavailable"]
     assert (alarm.raised_set_index, alarm.state) == (1, "returned_unacknowledged")
-    assert alarm.proof == {"set_index": 1, "error": "ConnectionLostError"}
+    assert alarm.evidence == {"set_index": 1, "error": "ConnectionLostError"}
     assert alarm.message == ("set 1 ended early: board 01A2B3C4 is gone at C2; the next set tries again")
     with open_catalogue(tmp_path) as catalogue:
         alarm_events = [
             (event.kind, event.set_index)
             for event in catalogue.events_after(0, {"alarms"}, limit=None)
-            if event.payload["kind"] == "rig_unavailable"
+            if event.payload["kind"] == "instruments_unavailable"
         ]
     assert alarm_events == [("alarm_raised", 1), ("alarm_cleared", 3)]
 
@@ -618,7 +620,7 @@ def test_a_long_loss_of_the_rig_disables_no_transducer(tmp_path: Path) -> None:
     settings = only("AB", small_settings(schedule={**FOUR_SHOTS, "end_h": 3.0}, quality=SILENT))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4 + ["done"]
-    assert set(alarms_of(tmp_path)) == {(None, "rig_unavailable")}
+    assert set(alarms_of(tmp_path)) == {(None, "instruments_unavailable")}
 
 
 def test_a_busy_rig_ends_the_set_at_once_and_the_next_one_is_taken(tmp_path: Path) -> None:
@@ -630,8 +632,8 @@ def test_a_busy_rig_ends_the_set_at_once_and_the_next_one_is_taken(tmp_path: Pat
         rows = sets_of(tmp_path, position)
         assert [row.state for row in rows] == ["done", "missed", "done", "done", "done"]
         assert rows[1].cause == "board 01A2B3C4 is gone at B0"
-    alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
-    assert (alarm.state, alarm.proof["error"]) == ("returned_unacknowledged", "BusyError")
+    alarm = alarms_of(tmp_path)[None, "instruments_unavailable"]
+    assert (alarm.state, alarm.evidence["error"]) == ("returned_unacknowledged", "BusyError")
 
 
 def test_a_set_without_any_record_raises_the_alarm_too(tmp_path: Path) -> None:
@@ -647,7 +649,7 @@ def test_a_set_without_any_record_raises_the_alarm_too(tmp_path: Path) -> None:
     assert sorted(set_files(tmp_path)) == [0, 2, 3, 4]
     row = sets_of(tmp_path, "B")[1]
     assert (row.state, row.file, row.n_missed, row.n_restrikes) == ("missed", None, 3, 0)
-    assert alarms_of(tmp_path)[None, "rig_unavailable"].raised_set_index == 1
+    assert alarms_of(tmp_path)[None, "instruments_unavailable"].raised_set_index == 1
 
 
 TWO_SHOTS = {"end_h": 2.5, "shots_per_set": 2}
@@ -658,7 +660,7 @@ def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(tmp_path: Pat
     disturb, _ = lost_during(range(1, 3), "B", 2, ConnectionLostError)
     settings = only("AB", small_settings(schedule=TWO_SHOTS))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
-    alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
+    alarm = alarms_of(tmp_path)[None, "instruments_unavailable"]
     assert (alarm.raised_set_index, alarm.state) == (1, "returned_unacknowledged")
     assert alarm.message == "set 1 got no answer: board 01A2B3C4 is gone at B1; the next set tries again"
 
@@ -666,15 +668,15 @@ def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(tmp_path: Pat
 def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(tmp_path: Path) -> None:
     disturb, _ = lost_during(range(1, 3), "B", 2, ConnectionLostError)
     assert run(small_settings(schedule=TWO_SHOTS), tmp_path, rig=disturbed_rig(disturb))
-    assert (None, "rig_unavailable") not in alarms_of(tmp_path)
+    assert (None, "instruments_unavailable") not in alarms_of(tmp_path)
 
 
 def test_a_rig_that_cannot_meet_a_request_reports_that_the_recorder_stopped(tmp_path: Path) -> None:
     disturb, _ = lost_during(range(1), "C", 1, ConfigurationError)
     with pytest.raises(RigError, match="set 0 ended early"):
         run(small_settings(schedule=FOUR_SHOTS), tmp_path, rig=disturbed_rig(disturb))
-    alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
-    assert (alarm.state, alarm.proof["error"]) == ("unacknowledged", "ConfigurationError")
+    alarm = alarms_of(tmp_path)[None, "instruments_unavailable"]
+    assert (alarm.state, alarm.evidence["error"]) == ("unacknowledged", "ConfigurationError")
     assert alarm.message.endswith(
         "; the recorder has stopped: mend the cause and start it again; it goes on with the schedule"
     )
@@ -687,7 +689,7 @@ def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path: Path, late: bool
     rig = ordering_rig(tmp_path, [(1.5, "hold", {"note": "why"})], disturb, late=late)
     assert run(only("AB", small_settings(schedule=FOUR_SHOTS)), tmp_path, rig=rig)
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4
-    assert alarms_of(tmp_path)[None, "rig_unavailable"].state == "unacknowledged"
+    assert alarms_of(tmp_path)[None, "instruments_unavailable"].state == "unacknowledged"
 
 
 def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_path: Path) -> None:

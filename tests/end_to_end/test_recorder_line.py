@@ -157,14 +157,14 @@ def test_a_baseline_is_frozen_once_and_its_sets_get_their_distances(finished: Pa
     rows = rows_of(finished)
     assert [row.position for row in rows["baselines"]] == ["B", "C", "D"]
     assert {row.n_sets for row in rows["baselines"]} == {BASELINE_SETS}
-    of_d = [row for row in rows["verdicts"] if row.position == "D"]
+    of_d = [row for row in rows["assessments"] if row.position == "D"]
     assert [row.set_index for row in of_d] == list(range(SETS))
     baseline, assessed = of_d[:BASELINE_SETS], of_d[BASELINE_SETS:]
     assert all(row.in_baseline and row.outlier is None for row in baseline)
     # Squared distances of a sample from its own mean sum to (n - 1) p, exactly; 1e-9 is rounding.
     total = sum(row.distance_squared for row in baseline)
     assert total == pytest.approx((BASELINE_SETS - 1) * 5, rel=1e-9)
-    assert all(row.outlier is not None and row.limit_f is not None for row in assessed)
+    assert all(row.outlier is not None and row.limit_f_predictive is not None for row in assessed)
     assert all(sum(row.contributions.values()) == pytest.approx(row.distance_squared) for row in assessed)
 
 
@@ -175,12 +175,15 @@ def test_assessment_without_recorder_and_storage_gives_the_same_result(finished:
     names = {"id": None, "sequence": None}
     assert [replace(row, **names) for row in of_sets] == [replace(row, **names) for row in stored]
     assessments = {row.set_index: row for found in assessed for row in found.position_result.assessments}
-    stored_rows = [row for row in rows["verdicts"] if row.position == "B"]
+    stored_rows = [row for row in rows["assessments"] if row.position == "B"]
     assert len(stored_rows) == SETS
     for row in stored_rows:
         ours = assessments[row.set_index]
         assert (ours.distance_squared, ours.outlier) == (row.distance_squared, row.outlier)
-        assert (ours.limit_f, ours.outlier_paper) == (row.limit_f, row.outlier_paper)
+        assert (ours.limit_f_predictive, ours.outlier_mean_3sd) == (
+            row.limit_f_predictive,
+            row.outlier_mean_3sd,
+        )
 
 
 def test_features_may_come_from_the_averaged_record_as_in_the_paper(finished: Path, tmp_path: Path) -> None:
@@ -353,8 +356,8 @@ def test_an_alarm_builds_up_across_a_restart(tmp_path: Path) -> None:
     whole = rows_of(tmp_path / "whole")
     (alarm,) = [row for row in whole["alarms"] if row.position == "B"]
     assert alarm.kind == "wall_change"
-    assert alarm.proof["limit"] == pytest.approx(whole["baselines"][0].limit_f)
-    outliers = [row.set_index for row in whole["verdicts"] if row.position == "B" and row.outlier]
+    assert alarm.evidence["limit"] == pytest.approx(whole["baselines"][0].limit_f_predictive)
+    outliers = [row.set_index for row in whole["assessments"] if row.position == "B" and row.outlier]
     assert alarm.raised_set_index == outliers[2]
     for last in outliers[:2]:
         stop = threading.Event()
@@ -425,13 +428,13 @@ def test_a_hole_disables_its_transducer_and_the_others_continue(tmp_path: Path) 
         (alarm,) = catalogue.rows(AlarmRow, position="B")
         counts = catalogue.counts()
     # The hole opens at 3.0 h, the set due then; the second silent one retires the transducer.
-    assert states == ["done"] * 7 + ["retired"] * 3
+    assert states == ["done"] * 7 + ["disabled"] * 3
     assert others == {"done"}
-    assert (alarm.kind, alarm.severity, alarm.raised_h) == ("hole", "critical", 3.5)
+    assert (alarm.kind, alarm.priority, alarm.raised_h) == ("no_reflection", "critical", 3.5)
     assert counts["missed_sets"] == 0
     assert run(small_settings(twin={"thinning": thinning}, schedule={"end_h": 6.0}), tmp_path)
     with open_catalogue(tmp_path) as catalogue:
-        assert catalogue.rows(SetRow, position="B")[-1].state == "retired", "a restart must not strike again"
+        assert catalogue.rows(SetRow, position="B")[-1].state == "disabled", "a restart must not strike again"
 
 
 def test_a_shot_that_cannot_be_analysed_stops_nothing(
@@ -563,7 +566,7 @@ def test_a_short_baseline_gives_no_limit_and_its_reason(tmp_path: Path) -> None:
         baseline = catalogue.baseline("B")
         assessment = catalogue.rows(AssessmentRow, position="B")[-1]
     assert baseline is not None
-    assert (baseline.limit_f, baseline.limit_paper, baseline.n_sets) == (None, None, 6)
+    assert (baseline.limit_f_predictive, baseline.limit_mean_3sd, baseline.n_sets) == (None, None, 6)
     assert "6 sets" in baseline.limit_reason
     assert (assessment.outlier, assessment.distance_squared) == (None, None)
     assert assessment.reason == baseline.limit_reason

@@ -136,7 +136,7 @@ def test_a_person_switches_it_on_each_set_logs_it_and_the_end_switches_it_off(
     stored = read_set(set_files(folder)[5])
     assert stored.environment["supply_state"] == "on"
     assert stored.environment["charge_coulomb"] == pytest.approx(last.charge_coulomb, rel=0.2)
-    assert alarms(folder).keys() <= {"not_judged"}, "its baseline has two sets"
+    assert alarms(folder).keys() <= {"not_assessed"}, "its baseline has two sets"
 
 
 def test_a_restart_goes_on_counting_and_switches_nothing(
@@ -172,9 +172,9 @@ def test_a_hole_trips_the_interlock_and_only_a_person_resets_it(
         (False, "command"),  # the end
     ]
     found = alarms(folder)
-    assert found["hole"].position == "B"
-    assert found["interlock_tripped"].raised_h == found["hole"].raised_h
-    assert found["interlock_tripped"].severity == "critical"
+    assert found["no_reflection"].position == "B"
+    assert found["interlock_tripped"].raised_h == found["no_reflection"].raised_h
+    assert found["interlock_tripped"].priority == "critical"
     assert "hole" in found["interlock_tripped"].message
     assert found["interlock_tripped"].state == "returned_unacknowledged", "closed by the order, not yet seen"
     tripped = [row.supply_tripped for row in environment(folder)]
@@ -215,7 +215,7 @@ def test_silence_is_unknown_and_trips_the_interlock_once_it_answers(
     assert switchings(instruments)[:2] == [(True, "command"), (False, "command")]
     assert sum(on for on, _ in switchings(instruments)) == 1, "it was never switched on again"
     found = alarms(folder)
-    assert found["supply_lost"].state == "returned_unacknowledged"
+    assert found["supply_not_responding"].state == "returned_unacknowledged"
     assert found["interlock_tripped"].state == "unacknowledged"
     assert environment(folder)[-1].unknown_s > 0.0
 
@@ -223,7 +223,7 @@ def test_silence_is_unknown_and_trips_the_interlock_once_it_answers(
 def test_a_climate_probe_that_dies_is_an_alarm(instruments: SerialInstruments, tmp_path: Path) -> None:
     folder = tmp_path / "data"
     assert run(settings_with(instruments, 6), folder, act={1: instruments.climate_link.unplug})
-    assert alarms(folder)["climate_not_responding"].severity == "low"
+    assert alarms(folder)["climate_not_responding"].priority == "low"
     assert environment(folder)[-1].climate_quality == "lost"
 
 

@@ -61,7 +61,7 @@ def test_an_unplugged_supply_is_unknown_then_lost_then_found_on(rig):
     rig.run(10.0)
     assert rig.drive.output() == "unknown"
     rig.run(30.0)
-    assert rig.active() == {"supply_lost"}
+    assert rig.active() == {"supply_not_responding"}
     rig.instruments.supply_link.plug()
     rig.run(60.0)
     assert rig.drive.output() == "on"
@@ -73,7 +73,7 @@ def test_an_unplugged_supply_is_unknown_then_lost_then_found_on(rig):
 def test_a_supply_lost_for_long_is_switched_off_when_it_is_back(rig):
     rig.instruments.supply_link.unplug()
     rig.run(320.0)
-    assert rig.active() == {"supply_lost", "interlock_tripped", "supply_switch_off_pending"}
+    assert rig.active() == {"supply_not_responding", "interlock_tripped", "supply_switch_off_pending"}
     rig.instruments.supply_link.plug()
     rig.run(20.0)
     assert rig.switched() == [(True, "command"), (False, "command")]
@@ -101,7 +101,7 @@ def test_a_tripped_protection_is_named(rig):
 def test_a_short_circuit_trips_the_interlock(rig):
     rig.instruments.supply_link.do(lambda: setattr(rig.instruments.supply, "cell", Cell(resistance_ohm=1.0)))
     rig.run(10.0)
-    assert rig.active() == {"supply_limit"}
+    assert rig.active() == {"supply_current_limit"}
     rig.run(30.0)
     assert rig.active() == {"interlock_tripped"}
     assert rig.switched() == [(True, "command"), (False, "command")]
@@ -126,7 +126,7 @@ def test_another_instrument_at_the_port_is_lost_and_receives_no_command(rig):
     rig.instruments.supply_link.plug()
     before = len(rig.heard())
     rig.run(400.0)
-    assert rig.active() == {"supply_lost", "interlock_tripped", "supply_switch_off_pending"}
+    assert rig.active() == {"supply_not_responding", "interlock_tripped", "supply_switch_off_pending"}
     assert set(rig.heard()[before:]) == {"*IDN?"}
 
 
@@ -135,8 +135,8 @@ def test_a_port_that_another_program_took_is_lost_and_says_to_whom(rig):
     thief = rig.new_supply()
     thief.read(1.0)
     rig.run(40.0)
-    assert rig.active() == {"supply_lost"}
-    message = next(c.message for c in rig.drive.conditions() if c.name == "supply_lost")
+    assert rig.active() == {"supply_not_responding"}
+    message = next(c.message for c in rig.drive.conditions() if c.name == "supply_not_responding")
     assert f"{rig.instruments.supply_link.path} is in use by" in message
     thief.close()
     rig.run(60.0)

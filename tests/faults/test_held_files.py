@@ -160,4 +160,4 @@ def test_a_disk_that_takes_nothing_is_waited_for(library, undisturbed, tmp_path,
     stored = rows_of(data)
     alarms = stored.pop("alarms")
     assert stored == {name: rows for name, rows in undisturbed.items() if name != "alarms"}
-    assert [(row.kind, row.state) for row in alarms] == [("storage_unavailable", "returned_unacknowledged")]
+    assert [(row.kind, row.state) for row in alarms] == [("write_failed", "returned_unacknowledged")]

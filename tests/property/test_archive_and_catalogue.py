@@ -71,9 +71,9 @@ def impossible():
     alarm = AlarmRow(
         id=999,
         position="B",
-        kind="hole",
-        family="damage",
-        severity="critical",
+        kind="no_reflection",
+        alarm_class="damage",
+        priority="critical",
         state="normal",
         raised_utc_ns=0,
         raised_h=0.0,

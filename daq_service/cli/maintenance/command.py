@@ -167,7 +167,7 @@ def run_certify(*, data_dir: Path, **options: Any) -> int:
 def _print_damage(damage: list[Finding]) -> None:
     """Print findings."""
     for finding in damage:
-        click.echo(f"{finding.kind:<18} {finding.file}: {finding.told}")
+        click.echo(f"{finding.kind:<18} {finding.file}: {finding.description}")
 
 
 def _listed(counts: dict[str, int]) -> str:

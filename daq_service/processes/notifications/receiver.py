@@ -367,7 +367,7 @@ class ReceiverQueue:
             Delivery(
                 receiver=self.name,
                 what=kind,
-                told=description,
+                result=description,
                 event_ids=list(event_ids),
                 key=key,
                 attempts=attempts,

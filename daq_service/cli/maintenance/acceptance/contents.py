@@ -127,7 +127,7 @@ def _notes(evidence: Evidence) -> list[str]:
     if evidence.recorder.status == "running":
         notes.append("The test goes on: this is how it stood when the certificate was made.")
     if evidence.verified is not None:
-        notes += [f"verify, {item.file}: {item.told}" for item in evidence.verified.damage]
+        notes += [f"verify, {item.file}: {item.description}" for item in evidence.verified.damage]
         notes += evidence.verified.notes
     return notes
 

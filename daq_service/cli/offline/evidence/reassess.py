@@ -157,8 +157,8 @@ class _Reassessment:
         """Reassess the sets in their order and return their indices."""
         events = [
             event
-            for event in self._stored.rows(EventRow, topics=("sets", "alarms", "verdicts"))
-            if event.topic != "verdicts" or event.kind in STEPS
+            for event in self._stored.rows(EventRow, topics=("sets", "alarms", "assessments"))
+            if event.topic != "assessments" or event.kind in STEPS
         ]
         total = len({event.set_index for event in events if self._is_set(event, up_to_set)})
         done: set[int] = set()
@@ -197,7 +197,7 @@ class _Reassessment:
         """Store the rows of a set without records; failed strikes may raise alarms."""
         self._assessor.commit(Transaction(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
-            if row.purpose is None and row.state != "retired" and row.n_missed:
+            if row.purpose is None and row.state != "disabled" and row.n_missed:
                 utc_ns = row.ended_utc_ns or row.due_utc_ns
                 moment = Moment(utc_ns=utc_ns, due_h=row.due_h, set_index=row.set_index)
                 for condition in self._assessor.passed(row):

@@ -43,7 +43,7 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import in_order
 from hardware_drivers.methods import SOLITARY_WAVE
 
-PROCESS_EVENTS = ("row", "cause", "outlier", "chart_alarm")
+PROCESS_EVENTS = ("row", "cause", "outlier", "mewma_alarm")
 """Columns that are listed first: the result of a set, before its numbers."""
 
 
@@ -57,7 +57,7 @@ class NotAssessed:
         Sets that the baseline takes.
     last_set
         The position's last one.
-    told
+    description
          Message with the remedy.
     """
 
@@ -65,7 +65,7 @@ class NotAssessed:
     first_set_index: int
     last_set_index: int
     last_set: int
-    told: str
+    description: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,9 +192,9 @@ def _not_assessed(position: str, recomputed: Catalogue, settings: Settings) -> I
         first_set_index=sets.first_set,
         last_set_index=sets.last_set,
         last_set=last_set,
-        told=f"nothing is judged at {position}: baseline.hours = {settings.baseline.hours:g} makes the sets "
-        f"{sets.first_set} to {sets.last_set} the baseline, and the last one there is set {last_set}; "
-        "give fewer hours",
+        description=f"nothing is judged at {position}: baseline.hours = {settings.baseline.hours:g} makes "
+        f"the sets {sets.first_set} to {sets.last_set} the baseline, and the last one there is set "
+        f"{last_set}; give fewer hours",
     )
 
 
@@ -230,7 +230,7 @@ def in_words(found: Replayed) -> Iterable[str]:
             yield f"baseline {row.position}: {row.column} {_short(row.stored)} -> {_short(row.again)}"
     yield from _of_sets(found.differences)
     for position in found.not_assessed:
-        yield position.told
+        yield position.description
     if not (alarms.moved or alarms.come or alarms.go or found.differences):
         yield "nothing changes: every alarm, limit and verdict is what is stored"
 

@@ -151,20 +151,21 @@ def test_a_row_that_differs_from_its_file_is_named(folder, sql):
 def test_results_are_compared_with_their_copy_in_the_file(folder, sql, message):
     change(folder, sql)
     assert any(
-        f"set 1, {message}" in item.told or message in item.told for item in verify_folder(folder).damage
+        f"set 1, {message}" in item.description or message in item.description
+        for item in verify_folder(folder).damage
     )
 
 
 def test_results_of_another_extractor_version_are_not_compared(folder):
     change(folder, "UPDATE features SET tof_pp_s = 1.0, extractor_version = '2' WHERE sequence = 12")
-    assert not any("in the file" in item.told for item in verify_folder(folder).damage)
+    assert not any("in the file" in item.description for item in verify_folder(folder).damage)
 
 
 def test_missing_rows_before_later_ones_are_reported(folder):
-    for table in ("features", "verdicts", "thickness", "shots", "sets"):
+    for table in ("features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 1")
     assert kinds(folder) == [("file_without_rows", FILES[1], None)]
-    for table in ("features", "verdicts", "thickness", "shots", "sets"):
+    for table in ("features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     report = verify_folder(folder)
     assert (report.damage, report.checked["sets_without_rows"]) == ([], 2), "as a killed recorder leaves them"
@@ -203,7 +204,7 @@ def audit_three(folder):
 
 def notify_three(folder):
     for receiver in ("ann", "ben", "cleo"):
-        DeliveryLog(folder).append(Delivery(receiver=receiver, what="sent", told="a hole at B"))
+        DeliveryLog(folder).append(Delivery(receiver=receiver, what="sent", description="a hole at B"))
 
 
 @pytest.mark.parametrize(
@@ -383,7 +384,7 @@ from daq_service.web.app import create_app
 
 settings, folder = settings_of_folder(None, Path(sys.argv[1]))
 with TestClient(create_app(settings, folder)) as client:
-    for path in ("info", "sets", "features", "verdicts", "waveforms/B/1/1", "transducers/B"):
+    for path in ("info", "sets", "features", "assessments", "waveforms/B/1/1", "transducers/B"):
         assert client.get(f"/api/v1/{path}", headers={"Host": "127.0.0.1"}).status_code == 200, path
 assert verify_folder(folder).damage == []
 print(*(name for name in %r if name in sys.modules))
@@ -449,7 +450,7 @@ def test_repair_restores_a_file_from_the_journal_or_quarantines_it(folder):
     code, answer = solimon("repair", "--apply", "--data-dir", folder)
     assert (code, [step["does"] for step in answer["steps"]]) == (0, ["from_journal"])
     assert (folder / FILES[2]).read_bytes() == content
-    for table in ("features", "verdicts", "thickness", "shots", "sets"):
+    for table in ("features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     segment_path(folder, 1).unlink()
     (folder / FILES[2]).write_bytes(content[:1000])

@@ -123,7 +123,7 @@ def test_the_files_alone_restore_all_rows_of_their_sets(line):
 
 
 def test_a_delayed_alarm_is_raised_by_the_same_set_after_restart_and_rebuild(tmp_path):
-    kinds = {"no_data": {"on_delay_s": 3000.0, "off_delay_s": 3000.0}}
+    kinds = {"few_valid_shots": {"on_delay_s": 3000.0, "off_delay_s": 3000.0}}
     stop = threading.Event()
 
     def script(key):
@@ -143,7 +143,11 @@ def test_a_delayed_alarm_is_raised_by_the_same_set_after_restart_and_rebuild(tmp
     before = line.rows("alarms")
     # Two poor sets make the condition, 3,000 s are two intervals; the first good set is 8.
     (alarm,) = line.alarms()
-    assert (alarm.kind, alarm.raised_set_index, alarm.state) == ("no_data", 5, "returned_unacknowledged")
+    assert (alarm.kind, alarm.raised_set_index, alarm.state) == (
+        "few_valid_shots",
+        5,
+        "returned_unacknowledged",
+    )
     events = [
         (event.kind, event.set_index)
         for event in line.rows("events")

@@ -27,7 +27,7 @@ def folder(tmp_path_factory):
     filled = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
     for index in range(SETS):
         filled.add_set(index, stored=False)
-    filled.shelve(filled.add_alarm("A", SETS - 1, kind="thickness"), "a known leak", for_h=8.0)
+    filled.shelve(filled.add_alarm("A", SETS - 1, kind="thickness_low"), "a known leak", for_h=8.0)
     row = filled.catalogue.alarm(filled.add_alarm("B", SETS - 1))
     moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
     filled._change(take_out_of_service(row, "ann", "its sensor is repaired", moment), moment)
@@ -36,7 +36,7 @@ def folder(tmp_path_factory):
     filled.close()
 
 
-EXPECTED = {"A": "shelved", "B": "out_of_service", "C": "alarm", "D": "learning"}
+EXPECTED = {"A": "shelved", "B": "out_of_service", "C": "alarm", "D": "collecting_baseline"}
 
 
 def test_page_metrics_and_report_show_suppressed_alarms(folder, monkeypatch):

@@ -143,13 +143,13 @@ def test_a_shelf_has_an_end_and_a_reason(ended, body):
 def test_alarms_are_filtered_by_state_severity_kind_and_hour(ended):
     filled, api = ended
     again = FilledFolder(filled.folder, filled.settings, exists=True)
-    again.add_alarm("C", 0, severity="low", kind="no_data", state="acknowledged")
+    again.add_alarm("C", 0, priority="low", kind="few_valid_shots", state="acknowledged")
     again.close()
 
     def found(query):
         return [row["id"] for row in api.get(f"/api/v1/alarms?{query}").json()["items"]]
 
     assert found("") == [1, 2]
-    assert found("state=acknowledged") == found("severity=low") == found("kind=no_data") == [2]
-    assert found("from_h=0.9") == found("severity=high&position=B") == [1]
+    assert found("state=acknowledged") == found("priority=low") == found("kind=no_data") == [2]
+    assert found("from_h=0.9") == found("priority=high&position=B") == [1]
     assert found("from_h=0.5&to_h=1.0") == [2]
