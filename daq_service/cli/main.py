@@ -407,7 +407,7 @@ def add_order(kind: str, explanation: str, *options: Callable[..., Any]) -> None
 
 
 REASONS = {
-    "hold": (
+    "pause": (
         "a hold needs a reason, for whoever finds it: --reason 'hands in the rig'",
         "Why is the test held",
     ),
@@ -431,12 +431,12 @@ def _send_order(kind: str, **options: Any) -> int:
     return send_command(kind, **options)
 
 
-add_order("hold", "Strike no more until `release`: somebody works at the rig. Sets that fall due are missed.")
-add_order("release", "End a hold: the next due set is taken.")
+add_order("pause", "Strike no more until `resume`: somebody works at the rig. Sets that fall due are missed.")
+add_order("resume", "End a hold: the next due set is taken.")
 add_order("trust_clock", "Go on with this computer's clock though it is doubted after a restart.")
-add_order("retire", "Let a transducer strike no more, until `reinstate`.", POSITION)
-add_order("reinstate", "Let a retired transducer strike again, from the next set on.", POSITION)
-add_order("confirm", "Strike a confirmation set at a transducer now, beside the plan.", POSITION)
+add_order("disable", "Let a transducer strike no more, until `enable`.", POSITION)
+add_order("enable", "Let a retired transducer strike again, from the next set on.", POSITION)
+add_order("strike", "Strike a confirmation set at a transducer now, beside the plan.", POSITION)
 add_order("approve_baseline", "Sign the proposed baseline of a transducer.", POSITION)
 add_order(
     "renew_baseline",

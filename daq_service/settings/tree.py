@@ -186,7 +186,7 @@ class QualitySettings(Section):
     no_data_sets: int = Field(default=2, ge=1, le=1000)
     """Sets running with too few valid shots (`baseline.minimum_valid_shots`) that raise `no_data`."""
     retire_after_sets: int = Field(default=10, ge=0, le=100_000)
-    """Such sets running after which the transducer strikes no more, until `reinstate`; 0: never."""
+    """Such sets running after which the transducer strikes no more, until `enable`; 0: never."""
 
 
 class BaselineSettings(Section):

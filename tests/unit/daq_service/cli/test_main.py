@@ -68,7 +68,7 @@ def test_a_write_error_ends_a_manual_start_and_retries_a_supervised_one(
         "status",
         "serve",
         "hold --reason why",
-        "release",
+        "resume",
         "trust-clock",
         "retire --position B",
         "reinstate --position B",
@@ -86,9 +86,9 @@ def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, command_line:
 @pytest.mark.parametrize(
     ("command_line", "asked"),
     [
-        ("hold", "Why is the test held"),
+        ("pause", "Why is the test held"),
         ("hold --reason door", ""),
-        ("release", ""),
+        ("resume", ""),
         ("renew-baseline --position B", "Why is the baseline retired"),
     ],
 )
@@ -117,7 +117,7 @@ def test_a_renewal_without_a_reason_is_rejected_with_the_missing_option(tmp_path
 
 
 def test_a_command_is_rejected_before_the_first_record(tmp_path: Path) -> None:
-    done = solimon_here("hold", "--reason", "why", "--data-dir", str(tmp_path), env={})
+    done = solimon_here("pause", "--reason", "why", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 4
     assert "no data yet" in done.stderr
 
