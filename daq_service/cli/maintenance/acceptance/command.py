@@ -1,4 +1,4 @@
-"""Run ``certify``: write the acceptance report for a terminal, as a page, as JSON."""
+"""Run ``acceptance-report``: write the acceptance report for a terminal, as a page, as JSON."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from daq_service.shared_file import HINT_SUFFIX, write_durably
 STANDARD_OUTPUT = "-"
 
 
-def certify(
+def write_acceptance_report(
     *,
     data_dir: Path,
     html: Path | None,

@@ -82,7 +82,7 @@ def states(report):
 
 def certify(*arguments):
     """Run the command; return the exit code and standard output or the error."""
-    done = CliRunner().invoke(cli, ["certify", *map(str, arguments)])
+    done = CliRunner().invoke(cli, ["acceptance-report", *map(str, arguments)])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         return getattr(done.exception, "exit_code", 1), str(done.exception)
     return done.exit_code, done.stdout

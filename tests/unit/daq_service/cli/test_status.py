@@ -130,7 +130,7 @@ def test_data_that_are_older_than_the_cadence_explains_are_stale(filled: FilledF
     filled.say("hold", filled.due[SETS + 2].due_utc_ns, held="held by ann: door open")
     lines = status_of(filled)
     assert "  90 min STALE  " in line_of(lines, " B")
-    assert line_of(lines, "paused") == "paused   held by ann: door open; nothing strikes until it is resumed"
+    assert line_of(lines, "paused") == "paused  held by ann: door open; nothing strikes until it is resumed"
     assert line_of(lines, "now").startswith(
         f"now  hour {filled.due[SETS + 2].due_h:.2f} of the test, last written"
     )
