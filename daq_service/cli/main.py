@@ -15,7 +15,7 @@ from typing import Any
 
 import click
 
-from daq_service.cli.registry import SECTIONS, section_of
+from daq_service.cli.groups.registry import SECTIONS, section_of
 from daq_service.errors import (
     EXIT_FAULT,
     EXIT_INTERRUPTED,

@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from daq_service.cli.options import CONFIG, DATA_DIR, JSON, POSITION, command, option
+from daq_service.cli.groups.options import CONFIG, DATA_DIR, JSON, POSITION, command, option
 
 REASONS = {
     "pause": (

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from daq_service.cli.options import (
+from daq_service.cli.groups.options import (
     DATA_DIR_ALONE,
     FILE,
     FOLDER,

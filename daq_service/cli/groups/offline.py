@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from daq_service.cli.options import (
+from daq_service.cli.groups.options import (
     FILE,
     FOLDER,
     JSON,

@@ -7,7 +7,7 @@ from typing import Any
 
 import click
 
-from daq_service.cli.options import (
+from daq_service.cli.groups.options import (
     CONFIG,
     CONFIG_FILE,
     DATA_DIR,
@@ -35,7 +35,7 @@ from daq_service.cli.options import (
 )
 
 
-def _run_demo(**options: Any) -> int | None:
+def _run_demo(**options: Any) -> int:
     """Print the first line before the imports: on a cold machine these take seconds."""
     from daq_service.processes.printing import print_line
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from daq_service.cli.options import (
+from daq_service.cli.groups.options import (
     CONFIG,
     FILE,
     FOLDER,

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 from pydantic import ValidationError
 
-from daq_service.cli.maintenance.acceptance.contents import Certificate, as_json, certificate
+from daq_service.cli.maintenance.acceptance.contents import AcceptanceReport, as_json, build_report
 from daq_service.cli.maintenance.acceptance.criteria import with_limits
 from daq_service.cli.maintenance.acceptance.evidence import read_evidence
 from daq_service.cli.maintenance.acceptance.page import asked, interval, page
@@ -46,7 +46,7 @@ def write_acceptance_report(
     for target in filter(None, (html, json_file)):
         _refuse(data_dir, target, overwrite=overwrite)
     try:
-        report = certificate(
+        report = build_report(
             read_evidence(data_dir, verify_folder(data_dir, progress) if verify else None), criteria
         )
     except ValidationError as error:
@@ -66,7 +66,7 @@ def write_acceptance_report(
     return EXIT_OK if report.outcome == "pass" else EXIT_NOT_MET
 
 
-def _lines(report: Certificate) -> list[str]:
+def _lines(report: AcceptanceReport) -> list[str]:
     """Return the lines for a terminal."""
     rows = [
         (item.state, item.quantity.text, asked(item), interval(item.quantity), item.why)
@@ -77,7 +77,7 @@ def _lines(report: Certificate) -> list[str]:
         "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[4]]).rstrip()
         for row in rows
     ]
-    return [*lines, *(f"note: {note}" for note in report.notes), f"verdict: {report.outcome}"]
+    return [*lines, *(f"note: {note}" for note in report.notes), f"outcome: {report.outcome}"]
 
 
 def _refuse(folder: Path, target: Path, *, overwrite: bool) -> None:

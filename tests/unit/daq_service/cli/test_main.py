@@ -19,8 +19,8 @@ from support.command_line import command_of, solimon_here
 from daq_service.archive import ArchiveWriteError
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
 from daq_service.cli import run
+from daq_service.cli.groups.registry import SECTIONS, summary
 from daq_service.cli.main import cli
-from daq_service.cli.registry import SECTIONS, summary
 from daq_service.cli.status import command
 from daq_service.processes.supervisor import FINAL_CODES
 
@@ -215,7 +215,7 @@ def test_a_command_imports_no_module_of_another(arguments: list[str], own: set[s
         [sys.executable, "-c", IMPORTED, *arguments], capture_output=True, text=True, check=True, cwd=tmp_path
     )
     imported = {name.removeprefix("daq_service.cli.") for name in done.stderr.splitlines()[-1].split()}
-    shared = {"main", "registry"} | ({"groups", "options"} if own else set())
+    shared = {"main", "groups", "groups.registry"} | ({"groups.options"} if own else set())
     assert own | shared <= imported
     others = imported - own - shared
     assert {name.partition(".")[0] for name in others} <= {name.partition(".")[0] for name in own}

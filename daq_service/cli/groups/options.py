@@ -11,7 +11,8 @@ from typing import Any
 
 import click
 
-from daq_service.cli.registry import summary
+from daq_service.cli.groups.registry import summary
+from daq_service.errors import EXIT_OK
 
 
 class _Positive(click.FloatRange):
@@ -65,11 +66,10 @@ def executor(text: str) -> Decorator:
     return option("--executor", metavar="processes|threads|dask://HOST", help=text)
 
 
-def call(target: str, **options: Any) -> int | None:
-    """Import the function ``MODULE:NAME`` in this package and return its exit code."""
+def call(target: str, **options: Any) -> int:
+    """Import the function ``MODULE:NAME`` of the command line and return its exit code."""
     module, _, function = target.partition(":")
-    code: int | None = getattr(import_module(f"daq_service.cli.{module}"), function)(**options)
-    return code
+    return getattr(import_module(f"daq_service.cli.{module}"), function)(**options) or EXIT_OK
 
 
 def command(
