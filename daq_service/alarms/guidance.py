@@ -103,11 +103,11 @@ GUIDANCE: Mapping[str, Guidance] = {
         meaning="the transducer strikes no more: too few valid shots for long, or a person's order",
         limitations="that the others suffer: they go on",
         checks=(
-            "who or what retired it (the message)",
+            "who or what disabled it (the message)",
             "coil's temperature",
-            "as for `no_data`; then `solimon reinstate`",
+            "as for `no_data`; then `solimon enable`",
         ),
-        short="The message says who or what retired it; mend that, then `solimon reinstate`.",
+        short="The message names who or what disabled it. Fix that, then run `solimon enable`.",
         contact="who looks after the rig",
     ),
     "instruments_unavailable": Guidance(
