@@ -48,7 +48,7 @@ PERIOD_S = 0.05
 GROUPED = """
 SELECT v.set_index / :width, min(f.tof_pp_s), max(f.tof_pp_s), avg(f.tof_pp_s),
        min(v.distance_squared), max(v.distance_squared), avg(v.distance_squared), max(v.outlier), count(*)
-FROM features f JOIN verdicts v ON v.position = f.position AND v.set_index = f.set_index
+FROM features f JOIN assessments v ON v.position = f.position AND v.set_index = f.set_index
 WHERE f.position = 'B' AND f.shot_index IS NULL AND f.set_index BETWEEN :first AND :last
 GROUP BY 1
 """

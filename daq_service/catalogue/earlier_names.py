@@ -98,7 +98,7 @@ def current_row(table: str, row: Mapping[str, Any]) -> dict[str, Any]:
             current[name] = _VALUES.get((table, name), {}).get(value, value)
     if table == "experiment":
         current.setdefault("uuid", derived_uuid(row["configuration_hash"], row["epoch_utc_ns"]))
-    elif table == "events":
+    elif table == "events" and "payload" in current:
         current["payload"] = current_payload(current["topic"], current["kind"], current["payload"])
     return current
 

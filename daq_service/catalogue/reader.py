@@ -408,7 +408,7 @@ class Catalogue:
 
     def held(self) -> str | None:
         """Return who holds the test and why; None if it is not held."""
-        event = self.last_service_event("hold", "release")
+        event = self.last_service_event("pause", "resume")
         return None if event is None else event.payload["held"] or None
 
     def last_event_id(self) -> int:

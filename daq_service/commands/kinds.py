@@ -382,7 +382,7 @@ class Pause(Order):
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         text = f"held by {self.author}: {self.arguments.note}"
-        test.store_event("hold", {"held": text, "author": self.author})
+        test.store_event("pause", {"held": text, "author": self.author})
         return "paused: nothing strikes until the test is resumed; due sets are missed"
 
 
@@ -398,7 +398,7 @@ class Resume(Order):
         return None if facts.held else Refusal("the test is not paused", hint)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        test.store_event("release", {"held": "", "author": self.author, "note": self.arguments.note})
+        test.store_event("resume", {"held": "", "author": self.author, "note": self.arguments.note})
         return "resumed: the next due set is taken"
 
 

@@ -308,7 +308,7 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     expect(page.locator("#pause")).to_have_text(SENT)
     answer(filled, "pause", {"note": "hands in the rig"})
     at = filled.due[N_SETS - 1].due_utc_ns
-    filled.say("hold", at, held="held by dashboard: hands in the rig", author="dashboard")
+    filled.say("pause", at, held="held by dashboard: hands in the rig", author="dashboard")
     expect(banner).to_contain_text("Held by dashboard: hands in the rig")
     expect(banner).to_contain_text("Nothing strikes until the test is resumed")
     expect(page.locator("#pause")).to_be_hidden()
@@ -319,7 +319,7 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     page.get_by_role("button", name="Resume test").click()
     expect(page.locator("#resume")).to_have_text(SENT)
     answer(filled, "resume", {"note": ""})
-    filled.say("release", at, held="", author="dashboard")
+    filled.say("resume", at, held="", author="dashboard")
     expect(banner).to_be_hidden()
     expect(page.locator("#pause")).to_have_text("Pause")
 
@@ -392,7 +392,7 @@ def test_positions_are_chosen_by_keyboard_and_charts_read_by_it_and_as_a_table(h
 def test_phone_width_shows_everything_without_sideways_scrolling(filled, service, open_page):
     filled.add_environment(N_SETS - 1)
     filled.retire("C", N_SETS)
-    filled.say("hold", filled.due[N_SETS - 1].due_utc_ns, held=f"held by ann: {'very long reason ' * 10}")
+    filled.say("pause", filled.due[N_SETS - 1].due_utc_ns, held=f"held by ann: {'very long reason ' * 10}")
     page = open_page(service.url, viewport=PHONE)
     for color_scheme in ("light", "dark"):
         page.emulate_media(color_scheme=color_scheme)

@@ -78,7 +78,7 @@ def lived(folder: Path) -> Line:
         kinds = {event.kind for event in catalogue.rows(EventRow)}
         states = {row.state for row in rows}
     assert states == {"done", "partial", "missed", "disabled"}
-    assert {"alarm_acknowledged", "alarm_reset", "hold", "release", "baseline_frozen"} <= kinds
+    assert {"alarm_acknowledged", "alarm_reset", "pause", "resume", "baseline_frozen"} <= kinds
     assert {"baseline_retired", "baseline_collecting"} <= kinds
     assert {"annotation_added", "annotation_withdrawn", "alarm_out_of_service", "alarm_shelved"} <= kinds
     return line

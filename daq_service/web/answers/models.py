@@ -366,7 +366,7 @@ class TableInfo(Answer):
     """A table that can be exported."""
 
     table: str
-    told: str
+    description: str
     columns: list[TableColumn]
 
 
@@ -772,7 +772,7 @@ class HeartbeatState(Answer):
     state: Literal["off", "ok", "failing", "withheld"] = Field(
         description="`withheld`: no recorder answers, so none is sent; `off`: none was due yet"
     )
-    told: str = Field(description="What became of the last one")
+    result: str = Field(description="What became of the last one")
     last_utc: str | None = Field(description="Of the last one that was taken")
     next_utc: str | None
 
@@ -815,7 +815,7 @@ class TrialResult(Answer):
     receiver: str
     ok: bool
     status: int | None = Field(description="Of HTTP; null: none came, or the receiver is no webhook")
-    told: str
+    result: str
     took_s: float
 
 
@@ -828,7 +828,7 @@ class DeliveryEntry(Answer):
     what: DeliveryKind = Field(
         description="`sending` without `sent` behind it: it is under way, or a crash came in between"
     )
-    told: str
+    result: str
     event_ids: list[int]
     key: str = Field(description="The message's Idempotency-Key; the same again is the same message")
     attempts: int

@@ -71,6 +71,8 @@ MEANINGS: Mapping[str, str] = {
     # Verdicts, baselines, alarms.
     "distance_squared": "Mahalanobis distance from the baseline, squared",
     "limit_f_predictive": "Predictive F limit of the squared distance; null: there is none yet",
+    "interval_low_m": "Lower end of the 95 % interval of the thickness",
+    "interval_high_m": "Upper end of the 95 % interval of the thickness",
     "limit_mean_3sd": "The paper's limit of the squared distance, mean + 3 SD; null: there is none yet",
     "mewma_statistic": "Statistic of the chart that keeps the budget of false alarms; null: not judged",
     "limit_reason": "Why there is no limit; null: there is one",

@@ -100,7 +100,9 @@ const BY_CHART = {
   name: "Chart",
   short: "chart",
   source: { fields: ["mewma_statistic"], method: "solitary_wave" },
-  read: trendReader(["mewma_statistic"], ({ mewma_statistic: chart }, k, { limit }) => (chart[k] === null ? null : chart[k] > limit)),
+  read: trendReader(["mewma_statistic"], ({ mewma_statistic: chart }, k, { limit }) =>
+    chart[k] === null ? null : chart[k] > limit,
+  ),
 };
 
 /**

@@ -2,7 +2,8 @@
 
 /** @param {any} assessment of an earlier version: two limits with their own names @returns {number | null} */
 export function limitOf(assessment) {
-  const columnLimit = assessment.limit_name === "paper_mean_3sd" ? assessment.limit_mean_3sd : assessment.limit_f_predictive;
+  const columnLimit =
+    assessment.limit_name === "paper_mean_3sd" ? assessment.limit_mean_3sd : assessment.limit_f_predictive;
   return assessment.limits?.[assessment.limit_name] ?? columnLimit;
 }
 

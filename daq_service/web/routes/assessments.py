@@ -30,7 +30,7 @@ add_listing(
     "assessments",
     AssessmentRow,
     AssessmentPage,
-    "List verdicts with the quality of the feature that was judged.",
+    "List assessments with the quality of the feature that was judged.",
     POSITION | SET_INDEX | HOURS | PURPOSE,
     with_quality,
 )

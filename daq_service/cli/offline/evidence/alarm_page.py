@@ -36,7 +36,7 @@ def recomputation_text(found: Explained) -> str:
     read = f"{recomputed.n_records} records of {recomputed.n_sets} sets were judged again"
     if found.agrees:
         return (
-            f"{read}, and the same set raises the same alarm: features, baseline, limits and verdicts are "
+            f"{read}, and the same set raises the same alarm: features, baseline, limits and assessments are "
             "what is stored, to the last digit."
         )
     same = any(one.set_index == found.alarm.raised_set_index for one in recomputed.raised)

@@ -203,7 +203,7 @@ export class Board {
     const columns = trends.map((one) => one.columns);
     const { factor, unit, digits } = shownUnit(this.trend(positions[0]).units[field]);
     const { x, rows } = mergeHours(columns.map((one) => one.due_h));
-    const relative = view.relative && !["distance_squared", "chart"].includes(field);
+    const relative = view.relative && !["distance_squared", "mewma_statistic"].includes(field);
     /** @type {Map<string, import("./series.js").Scale>} */
     const scales = new Map();
     const lines = shown.map((position, k) => {
@@ -382,11 +382,11 @@ export class Board {
 
   /** Draw the control chart, which averages over sets, and its limit. @param {View} view @param {string[]} positions */
   controlChart(view, positions) {
-    const { lines, x, unit } = this.lines(view, positions, "chart", "chart", "chart");
+    const { lines, x, unit } = this.lines(view, positions, "mewma_statistic", "mewma_statistic", "chart");
     const { at, of: source, ...context } = this.context(view, positions);
     const { limits } = this.loader.info;
     const limit = x.map((hour) => baselineAt(this.baselines(positions[0]), hour)?.row.limits?.chart ?? null);
-    const values = this.trend(positions[0]).columns.chart ?? [];
+    const values = this.trend(positions[0]).columns.mewma_statistic ?? [];
     if (limit.some((value) => value !== null) && values.some((/** @type {number | null} */ value) => value !== null))
       lines.push({
         key: "mewma_limit",
@@ -404,7 +404,7 @@ export class Board {
       unit,
       digits: 2,
       subtitle: `${at} · ${significant(limits.false_alarms_per_sensor_year)} false alarms a sensor and year · ${rule}`,
-      exported: { fields: ["chart"], ...source },
+      exported: { fields: ["mewma_statistic"], ...source },
       ...context,
     });
   }

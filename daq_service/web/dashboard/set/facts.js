@@ -127,7 +127,11 @@ export function distance({ assessment }, limits) {
  */
 function limitTable(assessment, limits) {
   /** @type {Record<string, number | null>} */
-  const values = { ...assessment.statistics, distance_squared: assessment.distance_squared, mewma_statistic: assessment.mewma_statistic };
+  const values = {
+    ...assessment.statistics,
+    distance_squared: assessment.distance_squared,
+    mewma_statistic: assessment.mewma_statistic,
+  };
   const rows = limits
     .filter(({ name }) => name in assessment.limits)
     .map(({ name, description, of }) => {

@@ -197,7 +197,7 @@ def test_a_reset_alarm_enables_the_transducer() -> None:
 
 def test_one_of_two_active_alarms_is_enough() -> None:
     rows = (active_alarm("B", "no_reflection", "normal"), active_alarm("B", "transducer_disabled"))
-    assert retired_positions(rows) == {"B": "retired at B"}
+    assert retired_positions(rows) == {"B": "transducer_disabled at B"}
 
 
 def test_other_alarms_and_service_alarms_disable_no_transducer() -> None:

@@ -243,7 +243,7 @@ def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     assert alone.cause.cause == UNDETERMINED
     assert "abrupt: inspect the contact" in diagnosis_details(alone.cause)["action"]
     assert diagnosis_text(UNDETERMINED, 0.8, diagnosis_details(alone.cause)).startswith(
-        "CANNOT TELL: something has"
+        "UNDETERMINED: something has"
     )
     design, values = state.baseline.causes, found[struck_after].values
     memory, confirmed = diagnose_confirmation(state.diagnosis_state, design, values)

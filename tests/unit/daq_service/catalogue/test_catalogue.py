@@ -712,18 +712,18 @@ def event_commit(kind, **payload):
 
 def test_a_pause_is_in_force_until_it_is_resumed(writer, reader):
     assert reader.held() is None
-    assert reader.last_service_event("hold", "release") is None
+    assert reader.last_service_event("pause", "resume") is None
     for commit, held in (
-        (event_commit("hold", held="held by ann"), "held by ann"),
+        (event_commit("pause", held="held by ann"), "held by ann"),
         (event_commit("recorder_started"), "held by ann"),
-        (event_commit("release", held=""), None),
-        (event_commit("hold", held="held by bob: door"), "held by bob: door"),
+        (event_commit("resume", held=""), None),
+        (event_commit("pause", held="held by bob: door"), "held by bob: door"),
     ):
         writer.commit_set(commit)
         assert reader.held() == held
-    assert reader.last_service_event("recorder_started", "release").kind == "release"
+    assert reader.last_service_event("recorder_started", "resume").kind == "resume"
     # Events of other topics are no service events.
-    writer.commit_set(SetCommit(events=[event_row("release", "sets", payload={"held": ""})]))
+    writer.commit_set(SetCommit(events=[event_row("resume", "sets", payload={"held": ""})]))
     assert reader.held() == "held by bob: door"
 
 

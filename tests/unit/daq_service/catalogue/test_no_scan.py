@@ -59,7 +59,7 @@ def random_catalogue(folder, seed):
                 commit.assessments.append(AssessmentRow(**own, in_baseline=False, limit_name="f_predictive"))
         if chance.random() < 0.3:
             word = {"utc_ns": index, "topic": "service", "payload": {"held": f"by {index}"}}
-            kind = chance.choice(["hold", "release", "recorder_started"])
+            kind = chance.choice(["pause", "resume", "recorder_started"])
             commit.events.append(EventRow(**word, kind=kind))
             commit.alarms.append(
                 AlarmRow(position="B", kind="no_reflection", alarm_class="damage", priority="high",
@@ -144,9 +144,9 @@ def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
                 assert newest == max(found, key=lambda row: row.set_index, default=None)
         assert list(catalogue.positions_state()) == ["A", "B", "C"]
         service_events = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
-        held = [row for row in service_events if row.kind in ("hold", "release")]
+        held = [row for row in service_events if row.kind in ("pause", "resume")]
         assert catalogue.rows(EventRow, topic="service") == service_events
-        assert catalogue.last_service_event("hold", "release") == (held[-1] if held else None)
+        assert catalogue.last_service_event("pause", "resume") == (held[-1] if held else None)
         assert catalogue.last_service_event("recorder_stopped") is None
         assert catalogue.last_ended_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)
         assert catalogue.committed_sets() == {row.set_index for row in rows}

@@ -127,7 +127,7 @@ def test_each_corruption_is_reported_with_exit_code_4(folder):
         "UPDATE sets SET file = NULL WHERE id = 6",
         "DELETE FROM sets WHERE id = 6",
         "DELETE FROM features WHERE set_index = 1 AND position = 'B' AND shot_index = 1",
-        "DELETE FROM verdicts WHERE set_index = 1 AND position = 'B'",
+        "DELETE FROM assessments WHERE set_index = 1 AND position = 'B'",
         "DELETE FROM thickness WHERE set_index = 1",
         "UPDATE experiment SET epoch_utc_ns = epoch_utc_ns + 3600000000000",
     ],

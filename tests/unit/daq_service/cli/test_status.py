@@ -126,7 +126,7 @@ def test_a_distance_of_another_set_is_not_shown_with_these_features(filled: Fill
 
 
 def test_data_that_are_older_than_the_cadence_explains_are_stale(filled: FilledFolder) -> None:
-    filled.say("hold", filled.due[SETS + 2].due_utc_ns, held="held by ann: door open")
+    filled.say("pause", filled.due[SETS + 2].due_utc_ns, held="held by ann: door open")
     lines = status_of(filled)
     assert "  90 min STALE  " in line_of(lines, " B")
     assert line_of(lines, "paused") == "paused  held by ann: door open; nothing strikes until it is resumed"

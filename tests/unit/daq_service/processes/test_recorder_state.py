@@ -111,7 +111,7 @@ def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell: str) -
     ("kinds", "word", "listens"),
     [
         (["recorder_started", "set_done", "schedule_done"], "finished", True),
-        (["schedule_done", "alarm_acknowledged", "hold"], "finished", True),
+        (["schedule_done", "alarm_acknowledged", "pause"], "finished", True),
         (["recorder_started", "recorder_stopped"], "stopped", False),
         (["recorder_started", "recorder_left_alone"], "stopped", False),
     ],
@@ -203,7 +203,7 @@ def test_status_commands_and_web_agree_that_no_recorder_runs(
         pytest.skip("this system names no boot")
     (folder / FILE_NAME).write_text(last_beat(), encoding="utf-8")
     assert describe_status(folder, Settings())["recorder"] in (REBOOTED, GONE)
-    for kind in ("hold", "supply_off"):
+    for kind in ("pause", "supply_off"):
         with pytest.raises(BusyError, match="no recorder runs"):
             send_command(
                 kind, config=None, data_dir=folder, note="hands in the rig", author="ann", as_json=False

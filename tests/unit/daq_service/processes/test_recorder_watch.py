@@ -143,7 +143,7 @@ def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
 
 
 def pause(bench: Bench) -> None:
-    bench.catalogue.add_event(utc_ns=0, topic="service", kind="hold", payload={"held": "Ada: filling"})
+    bench.catalogue.add_event(utc_ns=0, topic="service", kind="pause", payload={"held": "Ada: filling"})
 
 
 def finish(bench: Bench) -> None:

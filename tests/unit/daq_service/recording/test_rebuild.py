@@ -167,7 +167,7 @@ def test_a_missing_line_of_the_history_costs_only_that_line_and_causes_a_warning
     before = table_rows(line.folder)
     path = line.folder / HISTORY_FILE
     lines = path.read_bytes().splitlines(keepends=True)
-    number = next(n for n, text in enumerate(lines) if b'"kind":"hold"' in text)
+    number = next(n for n, text in enumerate(lines) if b'"kind":"pause"' in text)
     del lines[number]
     path.write_bytes(b"".join(lines))
     lose_catalogue(line.folder)
@@ -175,7 +175,7 @@ def test_a_missing_line_of_the_history_costs_only_that_line_and_causes_a_warning
     assert any("history" in warning and f"{number + 1}" in warning for warning in result.warnings)
     after = table_rows(line.folder)
     assert [row for row in before["events"] if row not in after["events"]] == [
-        row for row in before["events"] if row[4] == "hold"
+        row for row in before["events"] if row[4] == "pause"
     ]
     assert {name for name in before if before[name] != after[name]} == {"events", "counts"}
 

@@ -348,7 +348,7 @@ def test_pause_and_resume_become_rows_or_are_rejected(lab):
     assert ordered(api, "pause", note="door open").status_code == 202
     (row,) = filled.catalogue.open_commands()
     assert (row.kind, row.author, row.arguments) == ("pause", "Ada", {"note": "door open"})
-    filled.say("hold", held="held by Ada: door open", author="Ada")
+    filled.say("pause", held="held by Ada: door open", author="Ada")
     refusal = problem(ordered(api, "pause", note="again"), 409, "conflict")
     assert "held by Ada: door open" in refusal["detail"]
     assert ordered(api, "resume").status_code == 202

@@ -248,11 +248,11 @@ def test_info_shows_a_pause_and_a_dry_run(tmp_path):
 
         assert pause_and_dry_run() == (None, None), "a recorder of an older version does not say"
         filled.say("recorder_started", dry_run=True)
-        filled.say("hold", held="held by ann: door open", author="ann")
+        filled.say("pause", held="held by ann: door open", author="ann")
         assert pause_and_dry_run() == ("held by ann: door open", True)
         filled.say("recorder_started", dry_run=False)
         assert pause_and_dry_run() == ("held by ann: door open", False), "a restart ends no hold"
-        filled.say("release", held="", author="ann")
+        filled.say("resume", held="", author="ann")
         assert pause_and_dry_run() == (None, False)
     filled.close()
 

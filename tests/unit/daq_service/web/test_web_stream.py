@@ -89,7 +89,7 @@ def test_resume_works_across_a_restart_of_the_service(filled):
 
 
 def test_only_the_chosen_topics_arrive(filled, service):
-    with connected(service, "?topics=verdicts,thickness&after=0") as events:
+    with connected(service, "?topics=assessments,thickness&after=0") as events:
         filled.add_set(1, stored=False)
         wanted = stored_ids(filled, ["assessments", "thickness"])
         arrived = take(events, len(wanted))

@@ -262,7 +262,11 @@ def test_the_header_accept_chooses_the_format(api):
         ("features?fields=tof", 422, "has no field tof; choose from"),
         ("features?fields=,", 422, "none named"),
         ("environment?position=B", 422, "has no positions"),
-        ("alarms?purpose=any", 422, "no sets beside the plan, sets, features, shot_features, verdicts have"),
+        (
+            "alarms?purpose=any",
+            422,
+            "no sets beside the plan, sets, features, shot_features, assessments have",
+        ),
         ("features?from_h=2&to_h=1", 422, "to_h"),
         ("features?format=xlsx", 422, "csv"),
     ],
