@@ -13,7 +13,6 @@ import math
 import struct
 import zlib
 from functools import cache, lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,7 +26,7 @@ _ZLIB_HEADER = b"\x78\x01"
 """Deflate with a window of 32 KiB, fastest level (RFC 1950)."""
 
 
-def filtered_chunk(values: NDArray[Any]) -> bytes:
+def filtered_chunk(values: NDArray[object]) -> bytes:
     """Shuffle and deflate a chunk and append its checksum.
 
     Parameters

@@ -15,7 +15,6 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import orjson
@@ -100,7 +99,7 @@ def _arrow_like(kind: str) -> Callable[[RecordSlice, Facts], bytes]:
     return write
 
 
-def _arrays(records: RecordSlice) -> dict[str, NDArray[Any]]:
+def _arrays(records: RecordSlice) -> dict[str, NDArray[object]]:
     return {column.name: as_array(column, records.columns[column.name]) for column in OF_RECORD}
 
 
