@@ -13,6 +13,7 @@ import math
 import struct
 import zlib
 from functools import cache, lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ _ZLIB_HEADER = b"\x78\x01"
 """Deflate with a window of 32 KiB, fastest level (RFC 1950)."""
 
 
-def filtered_chunk(values: NDArray[object]) -> bytes:
+def filtered_chunk(values: NDArray[Any]) -> bytes:
     """Shuffle and deflate a chunk and append its checksum.
 
     Parameters

@@ -42,7 +42,7 @@ from hardware_drivers.units import unit_of
 
 CONSOLIDATED_VERSION = "1.0"
 
-Column = NDArray[object] | list[str]
+Column = NDArray[Any] | list[str]
 Columns = Mapping[str, Column]
 
 

@@ -31,7 +31,7 @@ import uuid
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from h5py.h5d import DatasetID
@@ -73,7 +73,7 @@ class _RecordGroup:
     name: str
     position: str
     records: list[Record]
-    counts: NDArray[object]
+    counts: NDArray[Any]
     """Shape (n_records, n_samples)."""
 
     @property

@@ -42,7 +42,7 @@ _HEAP_OBJECT = struct.Struct("<H6xQ")
 _LONGEST_TEXT_BYTES = 4096
 """Names and units are far shorter; any number of attributes may lead to the same text."""
 
-Attribute = str | int | float | Sequence[str] | np.generic | NDArray[object]
+Attribute = str | int | float | Sequence[str] | np.generic | NDArray[Any]
 
 
 @contextmanager
@@ -176,14 +176,14 @@ def add_field(
     return dataset
 
 
-def write_chunks(dataset: h5d.DatasetID, array: NDArray[object], chunk: tuple[int, ...]) -> None:
+def write_chunks(dataset: h5d.DatasetID, array: NDArray[Any], chunk: tuple[int, ...]) -> None:
     """Write an array of the stored type as filtered chunks."""
     for first in range(0, array.shape[0], chunk[0]):
         offset = (first, *(0 for _ in chunk[1:]))
         dataset.write_direct_chunk(offset, filtered_chunk(array[first : first + chunk[0]]))
 
 
-def read_field(parent: h5g.GroupID, name: str) -> NDArray[object]:
+def read_field(parent: h5g.GroupID, name: str) -> NDArray[Any]:
     """Read a complete dataset; strings as bytes. Much faster than h5py's high-level API for small ones."""
     dataset = h5d.open(parent, name.encode())
     array = np.empty(dataset.shape, dtype=dataset.dtype)
@@ -214,7 +214,7 @@ def _variable_text() -> h5t.TypeID:
     return h5t.py_create(_TEXT, logical=True)
 
 
-def _to_stored_form(values: object) -> tuple[NDArray[object], h5t.TypeID, h5s.SpaceID]:
+def _to_stored_form(values: object) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
     """Return array, HDF5 type and space: UTF-8 strings of fixed length, little-endian numbers."""
     if isinstance(values, str):
         return _stored_text(values)
@@ -230,7 +230,7 @@ def _to_stored_form(values: object) -> tuple[NDArray[object], h5t.TypeID, h5s.Sp
 
 
 @lru_cache(maxsize=1024)
-def _stored_text(text: str) -> tuple[NDArray[object], h5t.TypeID, h5s.SpaceID]:
+def _stored_text(text: str) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
     """Return array, HDF5 type and space of a text; cached, since units and names repeat in every set."""
     array = np.array(text.encode(), dtype=np.bytes_)
     return array, _text_type(array.itemsize), _space(())

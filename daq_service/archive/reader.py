@@ -308,15 +308,15 @@ class RecordGroup:
             date=_text(read_field(detector, "calibration_date")[()]),
         )
 
-    def all_counts(self) -> NDArray[object] | None:
+    def all_counts(self) -> NDArray[Any] | None:
         """Return the counts of all records at once, which is faster; None if some are unreadable."""
         try:
-            counts: NDArray[object] = self.signal[()]
+            counts: NDArray[Any] = self.signal[()]
         except HDF5_ERRORS:
             return None  # `waveform` finds which ones
         return counts
 
-    def waveform(self, row: int, crc32: int, all_counts: NDArray[object] | None = None) -> Waveform | str:
+    def waveform(self, row: int, crc32: int, all_counts: NDArray[Any] | None = None) -> Waveform | str:
         """Return the record of a row, or why it is unreadable; ``all_counts``: the counts of all rows."""
         try:
             counts = self.signal[row] if all_counts is None else all_counts[row]

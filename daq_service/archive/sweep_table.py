@@ -17,7 +17,7 @@ _CHUNK_SAMPLES = 65_536
 
 def hdf5_image(
     *,
-    swept: Mapping[str, NDArray[object] | list[str]],
+    swept: Mapping[str, NDArray[Any] | list[str]],
     results: Mapping[str, NDArray[np.float64]],
     status: list[str],
     forces: Sequence[tuple[NDArray[np.float64], float]] | None,

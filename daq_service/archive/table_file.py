@@ -85,7 +85,7 @@ def _add_entry(file: FileID, name: str, facts_text: str) -> GroupID:
     return entry
 
 
-def _add_columns(group: GroupID, columns: Mapping[str, NDArray[object] | list[str]], axis: str) -> DatasetID:
+def _add_columns(group: GroupID, columns: Mapping[str, NDArray[Any] | list[str]], axis: str) -> DatasetID:
     """Add a dataset per column and return that of the axis."""
     axis_field = add_field(group, axis, columns[axis], is_axis=True)
     fields = {

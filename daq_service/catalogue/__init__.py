@@ -7,7 +7,7 @@ The names are imported on first use: `network_folder` needs no SQL.
 from __future__ import annotations
 
 import importlib
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from daq_service.catalogue.reader import Catalogue

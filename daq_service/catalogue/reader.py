@@ -488,7 +488,7 @@ def due_time_counts(connection: sa.Connection, indices: Collection[int] | None =
     return dict(found.mappings().one())
 
 
-def filtered(statement: sa.Select[object], table: sa.Table, filters: Filters) -> sa.Select[object]:
+def filtered(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa.Select[Any]:
     """Add filters and order to a query of a table."""
     values = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
@@ -515,9 +515,7 @@ def filtered(statement: sa.Select[object], table: sa.Table, filters: Filters) ->
     return statement.order_by(*order)
 
 
-def _behind(
-    table: sa.Table, order: Sequence[sa.ColumnElement[object]], row_id: int
-) -> sa.ColumnElement[bool]:
+def _behind(table: sa.Table, order: Sequence[sa.ColumnElement[Any]], row_id: int) -> sa.ColumnElement[bool]:
     """Return the condition for rows after one in an order."""
     if len(order) == 1:
         return order[0] > row_id
@@ -534,12 +532,12 @@ def stored_command(connection: sa.Connection, row: CommandRow) -> int:
     return row.id
 
 
-def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[object]:
+def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
     """Return the query for the filtered rows of a kind."""
     return filtered(sa.select(table_of(kind)), table_of(kind), filters).limit(limit)
 
 
-def read_rows(connection: sa.Connection, kind: type[R], statement: sa.Select[object]) -> list[R]:
+def read_rows(connection: sa.Connection, kind: type[R], statement: sa.Select[Any]) -> list[R]:
     """Read the complete rows of a query and compare each with its checksum."""
     return list(checked_rows(connection, kind, statement))
 
@@ -561,7 +559,7 @@ def _position_names() -> sa.CTE:
 
 
 @cache
-def _newest_of(table: sa.Table) -> sa.Select[object]:
+def _newest_of(table: sa.Table) -> sa.Select[Any]:
     """Return the query for the newest row of each position."""
     names, of_position = _position_names(), table.alias("of_place")
     newest = sa.select(of_position.c.id).where(
@@ -574,7 +572,7 @@ def _newest_of(table: sa.Table) -> sa.Select[object]:
 
 
 @cache
-def _last_set_index() -> sa.Select[object]:
+def _last_set_index() -> sa.Select[Any]:
     """Return the query for the highest set index."""
     names = _position_names()
     newest = sa.select(sa.func.max(sets.c.set_index)).where(
@@ -584,21 +582,21 @@ def _last_set_index() -> sa.Select[object]:
 
 
 @cache
-def _unscheduled_files() -> sa.Select[object]:
+def _unscheduled_files() -> sa.Select[Any]:
     """Return the query for the files of unscheduled sets."""
     files = sa.select(sets.c.set_index, sets.c.file).where(~in_plan(sets), sets.c.file.is_not(None))
     return files.order_by(sets.c.set_index)
 
 
 @cache
-def _newest_files(n_rows: int) -> sa.Select[object]:
+def _newest_files(n_rows: int) -> sa.Select[Any]:
     """Return the query for the files of the newest rows of sets."""
     newest = sa.select(sets.c.set_index, sets.c.file).order_by(sets.c.id.desc()).limit(n_rows).subquery()
     return sa.select(newest).where(newest.c.file.is_not(None)).distinct().order_by(newest.c.set_index)
 
 
 @cache
-def _newest_gaps(count: int) -> sa.Select[object]:
+def _newest_gaps(count: int) -> sa.Select[Any]:
     """Return the query for the newest gaps of each position."""
     names, of_position = _position_names(), sets.alias("of_place")
     states = sa.union_all(*(sa.select(sa.literal(state).label("state")) for state in GAP_STATES)).cte(

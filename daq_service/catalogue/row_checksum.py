@@ -11,7 +11,7 @@ import math
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 import orjson
@@ -126,7 +126,7 @@ def checked(kind: type[R], stored: Sequence[object]) -> R:
     return _row_of(kind, stored)
 
 
-def checked_rows(connection: Connection, kind: type[R], statement: Select[object]) -> Iterator[R]:
+def checked_rows(connection: Connection, kind: type[R], statement: Select[Any]) -> Iterator[R]:
     """Return the complete rows of a query, each compared with its checksum.
 
     Raises
@@ -138,7 +138,7 @@ def checked_rows(connection: Connection, kind: type[R], statement: Select[object
 
 
 def checked_values(
-    connection: Connection, kind: type[Row], statement: Select[object]
+    connection: Connection, kind: type[Row], statement: Select[Any]
 ) -> Iterator[Sequence[object]]:
     """Yield the values of complete rows: every column of the table, the checksum last."""
     try:

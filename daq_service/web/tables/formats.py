@@ -161,14 +161,14 @@ def pyarrow() -> Any:
     return arrow
 
 
-def _arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, NDArray[object]]:
+def _arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, NDArray[Any]]:
     """Return all rows as one array per column."""
     parts = [[as_array(column, page[column.name]) for column in columns] for page in pages]
     joined = [np.concatenate(of_column) for of_column in zip(*parts, strict=True)]
     return dict(zip([column.name for column in columns], joined, strict=True))
 
 
-def as_array(column: PublishedColumn, values: list[object]) -> NDArray[object]:
+def as_array(column: PublishedColumn, values: list[object]) -> NDArray[Any]:
     """Return the values of a column as an array; missing ones are NaN, -1 or empty."""
     if column.form == "number":
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
@@ -182,7 +182,7 @@ def _npz(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[byt
     yield npz_image(_arrays(choice.columns, pages), facts)
 
 
-def npz_image(arrays: Mapping[str, NDArray[object]], facts: Facts) -> bytes:
+def npz_image(arrays: Mapping[str, NDArray[Any]], facts: Facts) -> bytes:
     """Return the bytes of a NumPy file: an array a name, and ``solimon``."""
     content = io.BytesIO()
     # `numpy.savez` has parameters of its own, such as ``file``, which is a column of sets.
@@ -198,9 +198,7 @@ def _mat(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[byt
     yield mat_image(choice.table, _arrays(choice.columns, pages), units, facts)
 
 
-def mat_image(
-    name: str, arrays: Mapping[str, NDArray[object]], units: Mapping[str, str], facts: Facts
-) -> bytes:
+def mat_image(name: str, arrays: Mapping[str, NDArray[Any]], units: Mapping[str, str], facts: Facts) -> bytes:
     """Return the bytes of a MATLAB 5 file: a struct of the arrays, one of their units, and ``facts``."""
     # Imports SciPy only here: it would delay the start of a service by half a second.
     from scipy.io import savemat

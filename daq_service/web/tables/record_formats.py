@@ -15,6 +15,7 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Mapping
+from typing import Any
 
 import numpy as np
 import orjson
@@ -99,7 +100,7 @@ def _arrow_like(kind: str) -> Callable[[RecordSlice, Facts], bytes]:
     return write
 
 
-def _arrays(records: RecordSlice) -> dict[str, NDArray[object]]:
+def _arrays(records: RecordSlice) -> dict[str, NDArray[Any]]:
     return {column.name: as_array(column, records.columns[column.name]) for column in OF_RECORD}
 
 
