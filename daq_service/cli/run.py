@@ -177,7 +177,7 @@ def record_alone(
     supervised: bool,
 ) -> int:
     """Own the rig and the data folder until the schedule is done or somebody says stop."""
-    from daq_service.recording.session import record
+    from daq_service.recording.session import SessionOptions, record
 
     settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder, anew=not restart_reason)
@@ -198,12 +198,14 @@ def record_alone(
                 folder,
                 partial(_open_rig_to_stay, tell),
                 stop=stop,
-                restart_reason=restart_reason,
                 report=tell,
-                linger=linger,
-                unsupervised=left_alone,
-                acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
-                remote_drive=drive,
+                options=SessionOptions(
+                    restart_reason=restart_reason,
+                    linger=linger,
+                    unsupervised=left_alone,
+                    acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
+                    remote_drive=drive,
+                ),
             )
         except SolimonError as error:
             log.error("%s", error)

@@ -142,7 +142,7 @@ def test_a_stop_while_the_rig_is_away_is_a_farewell(opener: Opener) -> None:
         HistoryFollower(opener.folder, opener.catalogue),
         opener.heartbeat,
         MOMENT,
-        None,
+        threading.Event(),
     )
     told = opener.catalogue.last_service_event("recorder_started", "recorder_stopped")
     assert told is not None
