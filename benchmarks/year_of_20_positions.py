@@ -60,6 +60,8 @@ from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.recording import session
+from daq_service.recording.assembly import assemble
+from daq_service.recording.persistence import Stores
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
@@ -466,11 +468,13 @@ def start_s(folder: Path, settings: Settings) -> dict[str, float]:
             resumed_ns = session._resume_utc_ns(catalogue, archive, 0)
             note("resume")
             rig = Rig(kind="simulated", clock=SimulatedClock(resumed_ns), striker=None, digitizer=None)  # type: ignore[arg-type]
-            Recorder(
-                settings, archive, catalogue, rig, catalogue.experiment_row().epoch_utc_ns,
+            stores = Stores(
+                archive=archive, catalogue=catalogue,
                 live=LiveFigure(folder, "simulated"), heartbeat=Heartbeat(folder, deadline_s=1e9),
-                stop=threading.Event(), report=lambda event, **values: None,
             )  # fmt: skip
+            Recorder(
+                assemble(settings, stores, rig, stop=threading.Event(), report=lambda event, **values: None)
+            )
             note("recorder")
     return taken | {"all": sum(taken.values())}
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
@@ -17,14 +16,17 @@ from daq_service.alarms.states import Condition, Moment
 from daq_service.archive import Archive, SetRecord, StoredSet
 from daq_service.assessment.transaction import Transaction
 from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.live_figure import LiveFigure
 from daq_service.background.tiles import TileMaker
 from daq_service.background.verification import IdleVerification
 from daq_service.background.write_retry_queue import PASSING, Trouble, WriteRetryQueue
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.history import HistoryFollower
+from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.processes.disk_policy import DiskWatch
-from daq_service.processes.heartbeat import WebWatch
+from daq_service.processes.heartbeat import Heartbeat, WebWatch
 from daq_service.recording.computer_load import ComputerLoadWatch
+from daq_service.recording.host import Host
 from daq_service.recording.set_assessor import SetAssessor
 
 log = logging.getLogger(__name__)
@@ -33,14 +35,23 @@ WAIT_FOR_FILES_S = 60.0
 """A file takes some hundredths of a second; where it takes this long, the journal keeps its set."""
 MOST_UNDER_WAY = 40
 """Whole sets whose files are being made: two segments of the journal."""
-LOOK_EVERY_S = 0.1
-"""How often a recorder that can do nothing else looks for orders, and whether the disk takes what waits."""
+OVERSLEPT = "its time went by while the recorder ran: the computer slept, or what came before took too long"
 
 DISK_SPACE = "disk_space"
 """Event at each change of how much of the volume is free (`disk_policy.LEVELS`)."""
 
 Idle = Callable[[], bool]
 """Beats, listens to the operator and lets what waits be stored; False when the recorder shall stop."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Stores:
+    """What the recorder writes to in its data folder."""
+
+    archive: Archive
+    catalogue: RecorderCatalogue
+    live: LiveFigure
+    heartbeat: Heartbeat
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -63,6 +74,8 @@ class Helpers:
         Reads with each set what the test costs its computer.
     web
         Watches the web service of the folder.
+    remote_drive
+        The supply in a process of its own; None: the rig's supply, where it has one, is driven here.
     acknowledged
         Called with the id of each shot (`Shot.sequence`) once it is durable.
     """
@@ -74,6 +87,7 @@ class Helpers:
     disk: DiskWatch | None = None
     machine: ComputerLoadWatch | None = None
     web: WebWatch | None = None
+    remote_drive: RemoteDrive | None = None
     acknowledged: Callable[[int], None] = lambda shot_id: None
 
 
@@ -88,14 +102,11 @@ class Persistence:
         Now, for alarms and events.
     on_trouble
         Called when the disk begins or ceases to refuse.
-    look_every_s
-        Pause between two looks while everything else waits.
     """
 
     def __init__(
         self,
-        archive: Archive,
-        catalogue: RecorderCatalogue,
+        stores: Stores,
         assessor: SetAssessor,
         helpers: Helpers,
         *,
@@ -103,15 +114,14 @@ class Persistence:
         stop: threading.Event,
         moment: Callable[[], Moment],
         on_trouble: Callable[[], None],
-        look_every_s: float = LOOK_EVERY_S,
-        mono_s: Callable[[], float] = time.monotonic,
+        host: Host,
     ) -> None:
-        self._archive, self._catalogue, self._set_assessor = archive, catalogue, assessor
+        self._archive, self._catalogue, self._set_assessor = stores.archive, stores.catalogue, assessor
         self._finalizer, self._verification = helpers.compaction, helpers.idle_check
         self._tiles = helpers.tiling
         self._history, self._disk, self._acknowledged = helpers.history, helpers.disk, helpers.acknowledged
-        self._stop, self._moment, self._mono_s = stop, moment, mono_s
-        self._notify_trouble, self._look_every_s = on_trouble, look_every_s
+        self._stop, self._moment, self._mono_s = stop, moment, host.mono_s
+        self._notify_trouble, self._look_every_s = on_trouble, host.look_every_s
         self._web = helpers.web
         self._web_is_missing: bool | None = None
         self._reported_ids: set[int] = set()
@@ -119,7 +129,10 @@ class Persistence:
         self._reported_trouble = self._reported_finalizing = ""
         self._trouble_until_ns = -1
         self._retry_queue = WriteRetryQueue(
-            limit_bytes=limit_bytes, on_change=self._report_trouble, refusal=self._refusal, mono_s=mono_s
+            limit_bytes=limit_bytes,
+            on_change=self._report_trouble,
+            refusal=self._refusal,
+            mono_s=host.mono_s,
         )
 
     @property
@@ -139,10 +152,10 @@ class Persistence:
             return ""
         return f"{len(self._retry_queue)} jobs wait in memory for the disk: {self.trouble.message}"
 
-    def hindered(self, since_utc_ns: int) -> str:
-        """State what the disk, or the lock of the catalogue, refused since then; empty: nothing."""
-        is_over = self.trouble is None and self._trouble_until_ns < since_utc_ns
-        return "" if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
+    def overdue_reason(self, due_utc_ns: int) -> str:
+        """State why the time of a set went by: the disk or the catalogue refused, or the computer slept."""
+        is_over = self.trouble is None and self._trouble_until_ns < due_utc_ns
+        return OVERSLEPT if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
 
     # Shots and sets -------------------------------------------------------------------------------
 
@@ -179,22 +192,20 @@ class Persistence:
         self._reported_ids.difference_update(stored.crc32)
         return stored
 
-    def post(self, build: Callable[[], Transaction], *, n_bytes: int = 0, stored: int | None = None) -> None:
-        """Commit what is built, in order; what is built once is committed until it is stored.
-
-        Parameters
-        ----------
-        stored
-            Index of a set with records, which gets its file afterwards.
-        """
+    def post(
+        self,
+        build: Callable[[], Transaction],
+        *then: Callable[[Transaction], None],
+        n_bytes: int = 0,
+    ) -> None:
+        """Build a transaction once and pass it on, in order; repeat the latter until the disk takes it."""
         built: list[Transaction] = []
 
         def job() -> None:
             if not built:
                 built.append(build())
-            self._set_assessor.commit(built[0])
-            if stored is not None:
-                self.file(stored)
+            for pass_on in then:
+                pass_on(built[0])
 
         self._retry_queue.put(job, n_bytes=n_bytes)
 

@@ -158,7 +158,7 @@ class SetAssessor:
         retired = self.retired()
         transaction = Transaction()
         suspicions: dict[str, str] = {}
-        for position in self._positions_of(due):
+        for position in self.positions_of(due):
             if position not in causes:
                 cause = retired.get(position, "retired")
                 transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
@@ -202,7 +202,7 @@ class SetAssessor:
                 self.confirmations.request(reason, due, position, standing, moment, transaction)
         return self._with_environment(due, moment, transaction)
 
-    def _positions_of(self, due: DueSet) -> list[str]:
+    def positions_of(self, due: DueSet) -> list[str]:
         """Positions that a set is of."""
         return list(self._settings.positions) if due.position is None else [due.position]
 
@@ -296,24 +296,27 @@ class SetAssessor:
         return transaction
 
     def commit(self, transaction: Transaction) -> None:
-        """Store it; what later sets build on is taken over only after that.
+        """Store rows, alarms and events in one transaction, then report them."""
+        self.store(transaction)
+        self.publish(transaction)
+
+    def store(self, transaction: Transaction) -> None:
+        """Store rows, alarms and events; what later sets build on is taken over only after that.
 
         Called again after an error, it first looks whether the commit took place all the same.
         """
         indices = {row.set_index for row in transaction.sets}
         if transaction is self._uncommitted and indices <= self._catalogue.committed_sets(indices):
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
-            self._report_changes(transaction)
             return
         self._uncommitted = transaction if indices else self._uncommitted
         with self._cost.of("commit_s"):
             committed = self._catalogue.commit_set(transaction)
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
-        self._report_changes(transaction)
 
-    def _report_changes(self, transaction: Transaction) -> None:
-        """Report gaps and alarm changes to the program that started the test."""
+    def publish(self, transaction: Transaction) -> None:
+        """Take over what was stored, and report its alarms and gaps."""
         for event in transaction.events:
             self.take_stored(event)
         self.confirmations.take_rows(transaction)
@@ -349,7 +352,7 @@ class SetAssessor:
         moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
         transaction = Transaction()
         retired = self.retired() if tried is None else tried.retired
-        for position in self._positions_of(due):
+        for position in self.positions_of(due):
             gone = position in retired
             missed = (
                 []

@@ -38,8 +38,10 @@ from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.commands.execution import LISTEN_EVERY_S
 from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat, Stage, WebWatch
+from daq_service.recording.assembly import assemble
 from daq_service.recording.computer_load import ComputerLoadWatch
-from daq_service.recording.persistence import Helpers
+from daq_service.recording.host import Host
+from daq_service.recording.persistence import Helpers, Stores
 from daq_service.recording.recorder import Recorder
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
@@ -209,7 +211,7 @@ class Line:
         machine: ComputerLoadWatch | None = None,
         web: WebWatch | None = None,
         notify: Callable[..., None] = lambda event, **values: None,
-        **parts: Any,
+        **further: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
 
@@ -219,7 +221,7 @@ class Line:
             Where the clock stands; None: at the end of the last committed set, or within an open one.
         clock
             Another one than a simulated clock that stands there.
-        parts
+        further
             Further parts of the rig.
         """
         with self.catalogue(writer=True) as catalogue:
@@ -235,20 +237,20 @@ class Line:
             rig = Rig(
                 kind="simulated",
                 clock=clock or SimulatedClock(start_ns),
-                **{"striker": instruments, "digitizer": instruments, "pulse_echo": instruments, **parts},
+                **{"striker": instruments, "digitizer": instruments, "pulse_echo": instruments, **further},
             )
-            recorder = Recorder(
-                self.settings,
-                archive or MemoryArchive(self.shelf),
-                catalogue,
-                rig,
-                epoch_ns,
+            stores = Stores(
+                archive=archive or MemoryArchive(self.shelf),
+                catalogue=catalogue,
                 live=NoPicture(),
                 heartbeat=self.heartbeat,
+            )
+            parts = assemble(
+                self.settings,
+                stores,
+                rig,
                 stop=stop or threading.Event(),
                 report=notify,
-                unsupervised=left_alone,
-                mono_s=mono_s,
                 helpers=Helpers(
                     compaction=compaction,
                     idle_check=idle_check,
@@ -258,12 +260,12 @@ class Line:
                     acknowledged=acknowledged,
                 ),
                 features_of=self.features_of,
-                listen_every_s=self.listen_every_s,
-                look_every_s=self.look_every_s,
+                host=Host(mono_s=mono_s, listen_every_s=self.listen_every_s, look_every_s=self.look_every_s),
             )
+            recorder = Recorder(parts)
             self.runs, self.heartbeat.at_the_first = True, self._give_orders
             try:
-                return recorder.run(not_running_reason=cause)
+                return recorder.run(not_running_reason=cause, unsupervised=left_alone)
             finally:
                 recorder.leave()
                 self.runs = False
