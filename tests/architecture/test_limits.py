@@ -29,7 +29,10 @@ EXCEPTIONS = {
     ("daq_service/commands/send.py", "send_command", "parameters"): "two times and a pause for tests",
     ("daq_service/corrosion_drive/drive.py", "SupplyLogger", "class"): "to become parts with the new kinds",
     ("daq_service/corrosion_drive/remote.py", "RemoteDrive", "class"): "mirrors `SupplyLogger` in a process",
-    ("daq_service/processes/notifications/receiver.py", "ReceiverLine.__init__", "parameters"): (
+    ("daq_service/processes/notifications/receiver.py", "ReceiverQueue", "class"): (
+        "messages and heartbeat of a receiver share its connection and its state"
+    ),
+    ("daq_service/processes/notifications/receiver.py", "ReceiverQueue.__init__", "parameters"): (
         "two clocks and chance for tests"
     ),
     (
@@ -38,6 +41,9 @@ EXCEPTIONS = {
         "parameters",
     ): "tests replace processes and times",
     ("daq_service/recording/set_assessor.py", "SetAssessor", "class"): ALARMS,
+    ("daq_service/web/report/contents.py", "read_contents", "function"): (
+        "one keyword argument for each field of the report"
+    ),
     ("daq_service/web/routes/tables.py", "get_table", "parameters"): QUERY,
     ("daq_service/web/routes/waterfall.py", "get_waterfall", "function"): "half of it describes parameters",
     ("daq_service/web/routes/waterfall.py", "get_waterfall", "parameters"): QUERY,
@@ -46,7 +52,7 @@ EXCEPTIONS = {
     ("hardware_drivers/serial_port/line.py", "SerialLine", "class"): "one port and one recovery",
     ("analysis/statistics/bins.py", "bins_of_sets", "parameters"): "one array for each column",
     ("simulator/electronics/transduction.py", "triggered_record", "parameters"): "numerical kernel",
-    ("simulator/shot/kernel.py", "_turned", "parameters"): "numerical kernel",
+    ("simulator/shot/kernel.py", "_advance_mode", "parameters"): "numerical kernel",
     ("simulator/shot/kernel.py", "_time_loop", "function"): "numerical kernel",
     ("simulator/shot/kernel.py", "_time_loop.integrate", "function"): "numerical kernel",
     ("simulator/shot/model.py", "ShotModel", "class"): "numerical kernel",
