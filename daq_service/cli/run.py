@@ -177,7 +177,8 @@ def record_alone(
     supervised: bool,
 ) -> int:
     """Run the recorder until the schedule ends or a person stops it."""
-    from daq_service.recording.session import SessionOptions, record
+    from daq_service.recording.resources import SessionOptions
+    from daq_service.recording.session import record
 
     settings, folder = settings_and_folder(config, data_dir)
     prepare_data_folder(folder, may_create=not restart_reason)

@@ -12,13 +12,13 @@ from daq_service.acquisition.take_set import Measurement, MissedShot, SetPlan, t
 from daq_service.acquisition.taken_set import TakenSet, features_of_a_rehearsal
 from daq_service.archive import OpenSet, PositionRecord, SetRecord
 from daq_service.clock import boot_id
+from daq_service.commands.execution import CommandExecutor
 from daq_service.recording.cost import Cost
-from daq_service.recording.persistence import Idle, Persistence, Stores
+from daq_service.recording.persistence import Persistence
 from daq_service.recording.provenance import provenance
+from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
-from daq_service.settings.tree import Settings
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import Shot
 from hardware_drivers.methods import SOLITARY_WAVE
 
@@ -30,11 +30,6 @@ FeaturesOf = Callable[[Shot], ShotFeatures]
 class SetAcquisition:
     """Takes sets, one at a time.
 
-    Parameters
-    ----------
-    paused
-        Why an operator lets nothing strike now; empty: strikes are allowed.
-
     Attributes
     ----------
     provenance
@@ -45,23 +40,24 @@ class SetAcquisition:
 
     def __init__(
         self,
-        settings: Settings,
-        stores: Stores,
-        rig: Rig,
+        resources: Resources,
         assessor: SetAssessor,
         persistence: Persistence,
-        *,
         cost: Cost,
         features_of: FeaturesOf,
-        paused: Callable[[], str],
+        commands: CommandExecutor,
     ) -> None:
-        self._settings, self._stores, self._rig = settings, stores, rig
+        self._settings, self._rig = resources.settings, resources.rig
+        self._archive, self._live = resources.archive, resources.live
         self._set_assessor, self._persistence = assessor, persistence
-        self._cost, self._paused = cost, paused
-        self.features_of = features_of_a_rehearsal if rig.dry_run else features_of
+        self._cost, self._commands = cost, commands
+        self.features_of = features_of_a_rehearsal if self._rig.dry_run else features_of
         # Simulated time has one frame on every computer.
-        self._boot_id = "simulated" if settings.clock.kind == "simulated" else boot_id()
-        self.provenance = provenance(settings, rig, experiment=stores.catalogue.experiment_row())
+        self._in_real_time = resources.in_real_time
+        self._boot_id = boot_id() if self._in_real_time else "simulated"
+        self.provenance = provenance(
+            self._settings, self._rig, experiment=resources.catalogue.experiment_row()
+        )
         self.next_sequence = 0
 
     # Before the first strike ----------------------------------------------------------------------
@@ -79,7 +75,7 @@ class SetAcquisition:
             retired=self._set_assessor.retired() | left_out,
             started_ns=self._rig.clock.utc_ns(),
         )
-        self._stores.archive.begin_set(
+        self._archive.begin_set(
             due.set_index,
             due_utc_ns=due.due_utc_ns,
             started_utc_ns=taken.started_ns,
@@ -89,7 +85,7 @@ class SetAcquisition:
 
     def resume(self, opened: OpenSet) -> TakenSet:
         """Go on with a set that the last recorder left open in the journal."""
-        self._stores.archive.resume_set(opened)
+        self._archive.resume_set(opened)
         return self.restored(opened)
 
     def restored(self, opened: OpenSet) -> TakenSet:
@@ -111,7 +107,7 @@ class SetAcquisition:
 
     # Strike by strike -----------------------------------------------------------------------------
 
-    def measurements(self, due: DueSet, taken: TakenSet, idle: Idle) -> Iterator[Measurement]:
+    def measurements(self, due: DueSet, taken: TakenSet, idle: Callable[[], bool]) -> Iterator[Measurement]:
         """Strike and read; an error of the instruments ends the set, and what came before it is kept."""
         schedule = self._settings.schedule
         set_plan = SetPlan(
@@ -133,7 +129,7 @@ class SetAcquisition:
             else None,
             first_sequence=self.next_sequence,
             boot_id=self._boot_id,
-            idle=lambda: idle() and not self._paused(),
+            idle=lambda: idle() and not self._commands.held,
             wants_restrike=taken.wants_restrike,
             may_strike=lambda position: position not in self._set_assessor.retired(),
         )
@@ -153,10 +149,10 @@ class SetAcquisition:
         """Append a measurement to the journal, and acknowledge it."""
         taken.keep(measurement)
         if isinstance(measurement, MissedShot):
-            self._stores.archive.append(taken.missed_records()[-1], self._rig.clock.utc_ns())
+            self._archive.append(taken.missed_records()[-1], self._rig.clock.utc_ns())
             return
-        self._stores.archive.append(measurement, measurement.stamp.utc_ns)
-        if self._settings.clock.kind == "wall":  # simulated time has no crash between two shots
+        self._archive.append(measurement, measurement.stamp.utc_ns)
+        if self._in_real_time:  # simulated time has no crash between two shots
             self._persistence.acknowledge()
 
     def extract(self, measurement: Measurement, due: DueSet, taken: TakenSet) -> None:
@@ -166,9 +162,9 @@ class SetAcquisition:
         if isinstance(measurement, Shot):
             with self._cost.of("extract_s"):
                 taken.features[measurement.sequence] = self.features_of(measurement)
-        if self._stores.live.due(measurement.key.position):
+        if self._live.due(measurement.key.position):
             features = taken.features.get(measurement.sequence)
-            self._stores.live.show(measurement, due_h=due.due_h, features=features)
+            self._live.show(measurement, due_h=due.due_h, features=features)
 
     # After the last strike ------------------------------------------------------------------------
 
@@ -183,7 +179,7 @@ class SetAcquisition:
         end_reason = (
             cut_short_reason
             or self._set_assessor.retired().get(position)
-            or self._paused()
+            or self._commands.held
             or "the recorder was told to stop"
         )
         return taken.shortfall(position, self._set_assessor.n_planned(position), end_reason)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -12,19 +11,13 @@ from daq_service.archive import CorruptArchiveError, OpenSet
 from daq_service.catalogue.rows import SetRow
 from daq_service.recording.acquire_set import SetAcquisition
 from daq_service.recording.experiment import foreign_reason, refuse_foreign, refuse_foreign_open_set
-from daq_service.recording.persistence import Persistence, Stores
+from daq_service.recording.persistence import Persistence
+from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.measurement import purpose_of
 from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)
-
-
-def refuse_foreign_open_sets(stores: Stores, plan: Sequence[DueSet]) -> None:
-    """Raise an error where the journal holds sets of another schedule."""
-    for opened in stores.archive.open_sets().values():
-        if opened.is_dated:
-            refuse_foreign_open_set(opened, plan, stores.archive.name)
 
 
 class CarriedOver:
@@ -40,19 +33,20 @@ class CarriedOver:
 
     def __init__(
         self,
-        positions: Sequence[str],
-        stores: Stores,
-        plan: Sequence[DueSet],
+        resources: Resources,
         assessor: SetAssessor,
         persistence: Persistence,
         acquisition: SetAcquisition,
     ) -> None:
-        self._positions, self._plan = positions, plan
-        self._archive, self._catalogue = stores.archive, stores.catalogue
+        self._positions, self._plan = tuple(resources.settings.positions), resources.plan
+        self._archive, self._catalogue = resources.archive, resources.catalogue
         self._set_assessor, self._persistence, self._acquisition = assessor, persistence, acquisition
-        self._epoch_ns = self._catalogue.experiment_row().epoch_utc_ns
+        self._epoch_ns = resources.epoch_ns
         done, corrupt = self._catalogue.committed_sets(), self._archive.journal_damage
         self.open_sets = dict(self._archive.open_sets())
+        for opened in self.open_sets.values():
+            if opened.is_dated:
+                refuse_foreign_open_set(opened, self._plan, self._archive.name)
         self._rowless_files = {
             index: file
             for index, file in self._archive.sets().items()
@@ -71,7 +65,9 @@ class CarriedOver:
             elif index in corrupt.sets:
                 persistence.do(partial(self._end_again, opened))
             else:
-                persistence.file(index)  # a frame of it is corrupt: that is reported, and the others stay
+                persistence.after_set(
+                    index
+                )  # a frame of it is corrupt: that is reported, and the others stay
         sequences = [item.sequence + 1 for opened in self.open_sets.values() for item in opened.records]
         known = [self._catalogue.next_sequence(), corrupt.next_sequence, *sequences]
         acquisition.next_sequence = max(known) + corrupt.n_lost
@@ -119,7 +115,7 @@ class CarriedOver:
             record = self._acquisition.record_of(self._due_of(opened), taken, reason)
         self._archive.resume_set(opened)
         self._archive.store_set(record)
-        self._persistence.file(opened.set_index)
+        self._persistence.after_set(opened.set_index)
 
     def quarantine_corrupt_files(self) -> None:
         """Let no corrupt file without rows block the start: its set is due again, or missed."""
@@ -150,7 +146,7 @@ class CarriedOver:
         assess = partial(self._set_assessor.assessed, due, record, file, features, sha256=sha256)
         self._persistence.post(assess, self._set_assessor.commit)
         if sha256 is None:  # it is still in the journal
-            self._persistence.do(partial(self._persistence.file, due.set_index))
+            self._persistence.do(partial(self._persistence.after_set, due.set_index))
         self._acquisition.number_after(record)
         log.warning("set %d: rows made again from %s/%s", due.set_index, self._archive.name, file)
         return record.ended_utc_ns

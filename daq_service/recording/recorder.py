@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import logging
 import math
-import threading
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -18,15 +17,21 @@ from typing import Any
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.take_set import Measurement
-from daq_service.acquisition.taken_set import TakenSet
+from daq_service.acquisition.taken_set import TakenSet, features_of
 from daq_service.alarms.states import Moment
 from daq_service.archive import SetRecord
 from daq_service.assessment.transaction import Transaction
 from daq_service.errors import RigError, StorageError
-from daq_service.recording.assembly import Parts
+from daq_service.recording.acquire_set import FeaturesOf, SetAcquisition
+from daq_service.recording.carried_over import CarriedOver
 from daq_service.recording.computer_load import MACHINE_READ
+from daq_service.recording.cost import Cost
 from daq_service.recording.due_sets import DueSets
 from daq_service.recording.opening import Opening, is_transient
+from daq_service.recording.persistence import Persistence
+from daq_service.recording.resources import Resources
+from daq_service.recording.set_assessor import SetAssessor
+from daq_service.recording.waiting import Waiting
 
 log = logging.getLogger(__name__)
 
@@ -34,63 +39,66 @@ log = logging.getLogger(__name__)
 class Recorder:
     """Takes the sets of a test, one after the other."""
 
-    def __init__(self, parts: Parts) -> None:
-        self._rig, self._archive, self._catalogue = parts.rig, parts.stores.archive, parts.stores.catalogue
-        self._stop, self._report, self._look_every_s = parts.stop, parts.report, parts.host.look_every_s
-        self._cost, self._computer_load = parts.cost, parts.computer_load
-        self._set_assessor, self._persistence = parts.assessor, parts.persistence
-        self._presence, self._acquisition = parts.presence, parts.acquisition
-        self._carried_over, self._unscheduled = parts.carried_over, parts.unscheduled
-        self._commands, self._waiting, self._clock_watch = parts.commands, parts.waiting, parts.clock_watch
-        self._due_sets = DueSets(parts, self._record_gap)
+    def __init__(self, resources: Resources, *, features_of: FeaturesOf = features_of) -> None:
+        self._resources, self._stop, self._cost = resources, resources.stop, Cost()
+        self._set_assessor = assessor = SetAssessor(
+            resources.settings,
+            resources.archive,
+            resources.catalogue,
+            resources.rig,
+            self._cost,
+            resources.options.remote_drive,
+            news=resources.report,
+        )
+        self._persistence = persistence = Persistence(resources, assessor)
+        self._waiting = waiting = Waiting(resources, assessor, persistence)
+        self._acquisition = SetAcquisition(
+            resources, assessor, persistence, self._cost, features_of, waiting.commands
+        )
+        self._carried_over = CarriedOver(resources, assessor, persistence, self._acquisition)
+        self._due_sets = DueSets(
+            resources, assessor, persistence, self._carried_over, waiting, self._record_gap
+        )
+        self._commands = waiting.commands
 
-    def run(
-        self,
-        *,
-        not_running_reason: str,
-        opening: Opening | None = None,
-        unsupervised: threading.Event | None = None,
-    ) -> bool:
+    def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
         """Take every set that is still due; return False when ``stop`` came first.
 
         Parameters
         ----------
         opening
             What this recorder did before, while other sets may have fallen due.
-        unsupervised
-            Set where ``stop`` is, because the supervisor is gone.
         """
-        done = self._catalogue.committed_sets()
-        self._persistence.do(self._commands.begin)
+        rig, persistence, waiting = self._resources.rig, self._persistence, self._waiting
+        done = self._resources.catalogue.committed_sets()
+        persistence.do(self._commands.begin)
         started = {
-            "rig": self._rig.kind,
-            "dry_run": self._rig.dry_run,
-            "rig_identity": dict(self._rig.identity),
+            "rig": rig.kind,
+            "dry_run": rig.dry_run,
+            "rig_identity": dict(rig.identity),
             "sets_done": len(done),
             "before": not_running_reason,
             "versions": self._acquisition.provenance["versions"],
         }
-        self._persistence.say("recorder_started", started)
+        persistence.say("recorder_started", started)
         self._carried_over.quarantine_corrupt_files()
-        self._persistence.start_verification()
-        self._report("begun")
-        absences = self._clock_watch.wait_until_believed(
-            self._waiting.between_sets, not_running_reason=not_running_reason, opening=opening
-        )
+        persistence.start_verification()
+        self._resources.report("begun")
+        absences = waiting.until_clock_is_believed(not_running_reason, opening)
         for due in self.plan(done, absences):
             self._take(due)
-        self._persistence.wait_for_the_disk(self._waiting.between_sets)
-        self._persistence.wait_for_the_files(self._waiting.between_sets)
-        return self._end(unsupervised is not None and unsupervised.is_set())
+        waiting.until_stored()
+        waiting.for_files()
+        return self._end()
 
     def _take(self, due: DueSet) -> None:
         """Take a set through the stages."""
         if hindrance := self._hindrance(due):
             self._record_gap(due, hindrance)
             return
-        self._presence.announce(f"taking {_name_of(due)}")
+        self._waiting.announce(f"taking {_name_of(due)}")
         if due.position is None:
-            self._unscheduled.next_set = due.set_index + 1
+            self._waiting.next_set = due.set_index + 1
         opened = self._carried_over.open_sets.pop(due.set_index, None)
         taken = self._acquisition.begin(due) if opened is None else self._acquisition.resume(opened)
         for measurement in self.acquire(due, taken):
@@ -104,7 +112,7 @@ class Recorder:
             positions = self._set_assessor.positions_of(due)
             reasons = {name: self._acquisition.shortfall(name, taken) for name in positions}
             self._record_nothing(due, reasons, utc_ns=taken.ended_ns, tried=taken)
-            self._archive.settle(due.set_index)
+            self._resources.archive.settle(due.set_index)
         # else: the set is still due after a restart
         if taken.trouble is not None and not is_transient(taken.trouble, proven=self._set_assessor.proven):
             raise RigError(
@@ -114,12 +122,13 @@ class Recorder:
 
     def _finish(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
         """Take a set of records through the stages that the disk may refuse: they wait for it."""
-        self._presence.announce(f"storing {_name_of(due)}")
+        self._waiting.announce(f"storing {_name_of(due)}")
         reason = self._carried_over.corruption_of.get(due.set_index, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
         self._acquisition.number_after(record)
         # Now, and not when the disk takes the set.
-        load = None if self._computer_load is None else self._computer_load.read(self._cost)
+        watch = self._resources.computer_load
+        load = None if watch is None else watch.read(self._cost)
         self._persistence.post(
             partial(self.assess, due, record, taken.features, load),
             self.commit,
@@ -130,15 +139,7 @@ class Recorder:
     # The stages -----------------------------------------------------------------------------------
 
     def plan(self, done: Collection[int], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
-        """Yield each set when it is due, unscheduled ones between them; close those whose time is over.
-
-        Parameters
-        ----------
-        done
-            Sets that have rows.
-        absences
-            Until when (ns of UTC) sets were missed for what reason, in order.
-        """
+        """Yield each set without rows when it is due; close those whose time is over (`DueSets.follow`)."""
         return self._due_sets.follow(done, absences)
 
     def acquire(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
@@ -163,7 +164,7 @@ class Recorder:
         """Make the set durable, then assess it: rows, alarms and events of one transaction."""
         stored = self._persistence.store(record)
         self._cost.add_set(asdict(stored.timings))
-        self._presence.doing = f"judging {_name_of(due)}"
+        self._waiting.doing = f"assessing {_name_of(due)}"
         transaction = self._set_assessor.assessed(due, record, stored.file, features)
         if load is not None and due.position is None:
             moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
@@ -177,13 +178,13 @@ class Recorder:
     def publish(self, due: DueSet, transaction: Transaction) -> None:
         """Report alarms and gaps, and have the set get its file."""
         self._set_assessor.publish(transaction)
-        self._persistence.file(due.set_index)
+        self._persistence.after_set(due.set_index)
 
     # Sets that are not taken, or not completely ---------------------------------------------------
 
     def _hindrance(self, due: DueSet) -> str:
         """State why a set that is due is not taken; empty: it is."""
-        if due.position is not None and (reason := self._unscheduled.hindrance(due)):
+        if reason := self._due_sets.hindrance(due):
             return reason
         if self._commands.held or self._persistence.trouble is None or self._persistence.has_room:
             return self._commands.held
@@ -197,8 +198,8 @@ class Recorder:
             return
         reason = self._carried_over.corruption_of.get(due.set_index, reason)
         reasons = dict.fromkeys(self._set_assessor.positions_of(due), reason)
-        self._archive.settle(due.set_index)
-        self._record_nothing(due, reasons, self._rig.clock.utc_ns())
+        self._resources.archive.settle(due.set_index)
+        self._record_nothing(due, reasons, self._resources.rig.clock.utc_ns())
 
     def _record_nothing(
         self, due: DueSet, reasons: Mapping[str, str], utc_ns: int, tried: TakenSet | None = None
@@ -213,25 +214,25 @@ class Recorder:
 
     # The end --------------------------------------------------------------------------------------
 
-    def _end(self, is_unsupervised: bool) -> bool:
-        finished = not self._stop.is_set()
+    def _end(self) -> bool:
+        finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
         drive = None if is_unsupervised else self._set_assessor.drive
         supply = "" if drive is None else drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         stopped = "recorder_left_alone" if is_unsupervised else "recorder_stopped"
-        self._presence.end()
+        self._waiting.end()
         self._persistence.say("schedule_done" if finished else stopped, farewell)
         if finished:
-            self._persistence.wait_for_the_disk(self._waiting.between_sets)
+            self._waiting.until_stored()
         return finished
 
     def linger(self) -> None:
         """Listen to the operator, strike nothing, until ``stop`` is set."""
-        self._presence.doing = "waiting for orders; every set is taken"
+        self._waiting.doing = "waiting for orders; every set is taken"
         self._waiting.free_until_ns = math.inf
         while self._waiting.between_sets():
-            self._stop.wait(self._look_every_s)
+            self._stop.wait(self._resources.host.look_every_s)
 
     def leave(self) -> None:
         """Answer commands that were not started: this recorder does not execute them."""
@@ -239,7 +240,6 @@ class Recorder:
             self._commands.close("the recorder has ended")
         except (StorageError, OSError) as error:
             log.warning("open orders are not answered; the next recorder does it: %s", error)
-        self._persistence.leave()
 
 
 def _name_of(due: DueSet) -> str:

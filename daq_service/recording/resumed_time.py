@@ -5,25 +5,17 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 
-from daq_service.alarms.states import Moment
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import Before, format_utc, parse_utc
 from daq_service.errors import UsageError
 from daq_service.processes.heartbeat import Beat, time_line_of
-from hardware_drivers.instruments import Clock
-from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
+from hardware_drivers.nanoseconds import NS_PER_S
 
 CLOCK_STEP, CLOCK_BELIEVED = "clock_step", "clock_believed"
 """Events that hold how far the system's clock is ahead of the test's time."""
 
 EARLIEST_UTC = "2025-01-01T00:00:00Z"
 """Nobody had this software before: a machine without a clock of its own starts in 1970, 2000 or 2010."""
-
-
-def moment_at(clock: Clock, epoch_ns: int) -> Moment:
-    """Return the present moment of a test whose hour 0 is ``epoch_ns``."""
-    now_ns = clock.utc_ns()
-    return Moment(utc_ns=now_ns, due_h=(now_ns - epoch_ns) / NS_PER_H, set_index=None)
 
 
 def time_before(

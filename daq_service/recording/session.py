@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, closing, suppress
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -17,6 +17,7 @@ from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, FolderArchive, Results, SetRecord, SetReference
 from daq_service.archive.waterfall.cells import anchors_of
 from daq_service.assessment.results_in_file import results_in
+from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
 from daq_service.background.tiles import TileMaker, add_record_to_tiles
@@ -29,21 +30,24 @@ from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
-from daq_service.corrosion_drive.remote import RemoteDrive
-from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
 from daq_service.processes.lost_catalogue import is_catalogue_lost
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import FAREWELLS, PROCESS_EVENTS
-from daq_service.recording.assembly import assemble
 from daq_service.recording.computer_load import ComputerLoadWatch
-from daq_service.recording.host import THIS_COMPUTER, Host
 from daq_service.recording.opening import Opening, OpeningAlarm, open_patiently
-from daq_service.recording.persistence import Helpers, Stores
-from daq_service.recording.presence import Reporter
 from daq_service.recording.rebuild import rebuild
 from daq_service.recording.recorder import Recorder
-from daq_service.recording.resumed_time import hour_0, moment_at, time_before
+from daq_service.recording.resources import (
+    PLAIN,
+    THIS_COMPUTER,
+    Host,
+    Reporter,
+    Resources,
+    SessionOptions,
+    moment_at,
+)
+from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.settings.instruments import configured
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
@@ -55,34 +59,6 @@ NOTED_AT_ONCE = 100
 """Files that a start reads: more than a crash leaves, and done long before a heartbeat is missed."""
 
 RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SessionOptions:
-    """How a recorder is started.
-
-    Attributes
-    ----------
-    restart_reason
-        What ended the recorder before, as far as the supervisor knows.
-    linger
-        Stay after the last set and execute commands (acknowledgements) until ``stop``.
-    unsupervised
-        Set where ``stop`` is, because the supervisor is gone.
-    acknowledged
-        Called with the id of each shot (``shots.sequence``) once it is durable.
-    remote_drive
-        The supply in a process of its own; None: the rig's supply, where it has one, is driven here.
-    """
-
-    restart_reason: str = ""
-    linger: bool = False
-    unsupervised: threading.Event = field(default_factory=threading.Event)
-    acknowledged: Callable[[int], None] = lambda shot_id: None
-    remote_drive: RemoteDrive | None = None
-
-
-PLAIN = SessionOptions()
 
 
 def record(
@@ -145,20 +121,25 @@ def record(
         if rig is None:
             _store_stop(catalogue, history, heartbeat, moment(), options.unsupervised)
             return False
-        stores = Stores(
-            archive=archive, catalogue=catalogue, live=LiveFigure(folder, rig.kind), heartbeat=heartbeat
+        bare = Resources(
+            settings=settings,
+            archive=archive,
+            catalogue=catalogue,
+            rig=rig,
+            heartbeat=heartbeat,
+            live=LiveFigure(folder, rig.kind),
+            stop=stop,
+            report=report,
+            options=options,
+            host=host,
         )
-        disk = DiskWatch(folder, settings.storage, usage=host.disk_usage)
-        stack.callback(disk.free_reserve)
-        finalizer = _finalizer(folder, archive, catalogue, history, disk, host, stack)
-        helpers = _helpers(folder, stores, finalizer, history, disk, clock, options)
-        parts = assemble(settings, stores, rig, stop=stop, report=report, helpers=helpers, host=host)
-        recorder = Recorder(parts)
+        resources = _with_background_tasks(bare, folder, archive, history)
+        for task in reversed(resources.tasks):
+            stack.callback(task.close)
+        recorder = Recorder(resources)
         stack.callback(recorder.leave)
         finished = recorder.run(
-            not_running_reason=not_running_reason,
-            opening=Opening(since_mono_ns=since_mono_ns, text=did),
-            unsupervised=options.unsupervised,
+            not_running_reason=not_running_reason, opening=Opening(since_mono_ns=since_mono_ns, text=did)
         )
         if finished:
             report("finished")
@@ -187,77 +168,46 @@ def _clock(
     )
 
 
-def _has_room(disk: DiskWatch) -> bool:
-    """Whether the volume has room for a cache."""
-    return disk.space.level in ("ample", "warn")
-
-
-def _finalizer(
-    folder: Path,
-    archive: FolderArchive,
-    catalogue: RecorderCatalogue,
-    history: HistoryFollower,
-    disk: DiskWatch,
-    host: Host,
-    stack: ExitStack,
-) -> SetFinalizer:
-    """Make what gives sets their files, and give it what the last recorder left in the journal."""
+def _with_background_tasks(
+    bare: Resources, folder: Path, archive: FolderArchive, history: HistoryFollower
+) -> Resources:
+    """Add the work between sets; sets that the last recorder left in the journal get their files first."""
+    catalogue, note_file = bare.catalogue, partial(_note_file, bare.catalogue, history)
     experiment = experiment_identity(catalogue.experiment_row())
+    disk = DiskWatch(folder, bare.settings.storage, usage=bare.host.disk_usage)
+
+    def has_room() -> bool:
+        return disk.space.level in ("ample", "warn")
 
     def tiles(set_index: int, results: Results) -> Callable[[SetRecord], str] | None:
-        return (
-            partial(add_record_to_tiles, folder, experiment, anchors_of(results)) if _has_room(disk) else None
-        )
+        if not has_room():
+            return None
+        return partial(add_record_to_tiles, folder, experiment, anchors_of(results))
 
+    results, files = partial(results_in, catalogue), partial(catalogue.files_but_of, ())
     finalizer = SetFinalizer(
-        folder,
-        archive,
-        start=host.worker,
-        results=partial(results_in, catalogue),
-        filed=partial(_note_file, catalogue, history),
-        also=tiles,
+        folder, archive, start=bare.host.worker, results=results, filed=note_file, also=tiles
     )
-    # One that has no rows yet gets them first: its file holds what they state.
+    # One that has no rows yet gets them first: its file holds a copy of them.
     for set_index in sorted(catalogue.committed_sets(archive.to_compact())):
-        finalizer.put(set_index)
-    stack.callback(finalizer.close)
-    return finalizer
-
-
-def _helpers(
-    folder: Path,
-    stores: Stores,
-    finalizer: SetFinalizer,
-    history: HistoryFollower,
-    disk: DiskWatch,
-    clock: Clock,
-    options: SessionOptions,
-) -> Helpers:
-    """Make what works between sets."""
-    catalogue = stores.catalogue
-    experiment = experiment_identity(catalogue.experiment_row())
-    note_file = partial(_note_file, catalogue, history)
-    checker = IdleVerification(
+        finalizer.after_set(set_index)
+    verification = IdleVerification(
         folder, finalizer, partial(lost_sets, folder, catalogue), catalogue.digest_of, note_file
     )
-    files = partial(catalogue.files_but_of, ())
-    return Helpers(
-        compaction=finalizer,
-        idle_check=checker,
-        tiling=TileMaker(
-            folder,
-            experiment,
-            finalizer,
-            files,
-            partial(results_in, catalogue),
-            has_room=partial(_has_room, disk),
-        ),
-        history=history,
+    return replace(
+        bare,
+        finalizer=finalizer,
+        verification=verification,
         disk=disk,
-        machine=ComputerLoadWatch(clock, space=lambda: disk.space, files_read=lambda: checker.files_read),
+        further_tasks=(
+            history,
+            TileMaker(folder, experiment, finalizer, files, results, has_room=has_room),
+            bare.live,
+        ),
+        computer_load=ComputerLoadWatch(
+            bare.rig.clock, space=lambda: disk.space, files_read=lambda: verification.files_read
+        ),
         web=WebWatch(folder),
-        remote_drive=options.remote_drive,
-        acknowledged=options.acknowledged,
     )
 
 

@@ -40,8 +40,8 @@ from daq_service.processes.data_folder import (
     write_configuration,
 )
 from daq_service.processes.heartbeat import read_heartbeat
-from daq_service.recording.host import Host
-from daq_service.recording.session import SessionOptions, record
+from daq_service.recording.resources import Host, SessionOptions
+from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.instruments import with_defaults
 from daq_service.settings.tree import Settings

@@ -41,8 +41,8 @@ from daq_service.clock import Before, SimulatedClock, parse_utc
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
 from daq_service.processes.worker import one_worker
 from daq_service.recording import session
-from daq_service.recording.assembly import assemble
-from daq_service.recording.host import Host
+from daq_service.recording.recorder import Recorder
+from daq_service.recording.resources import Host, SessionOptions
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
 from hardware_drivers.measurement import PLANNED_SETS, Shot, ShotKey, Waveform, in_order
@@ -104,7 +104,7 @@ def in_memory(instruments: ScriptedInstruments) -> Iterator[session.RigOpener]:
         )
 
     with ExitStack() as stack:
-        stack.enter_context(patch.object(session, "assemble", partial(assemble, features_of=features_by_key)))
+        stack.enter_context(patch.object(session, "Recorder", partial(Recorder, features_of=features_by_key)))
         stack.enter_context(patch.dict(Journal.__init__.__kwdefaults__, segment_bytes=SEGMENT_BYTES))
         hour_0_ns = parse_utc("2026-01-01T00:00:00Z")
         stack.enter_context(patch.object(session, "hour_0", lambda system_ns: hour_0_ns))
@@ -132,7 +132,7 @@ def record(
                 opener,
                 stop=threading.Event(),
                 report=lambda event, **values: None,
-                options=session.SessionOptions(acknowledged=acknowledged, **options),
+                options=SessionOptions(acknowledged=acknowledged, **options),
                 host=Host(worker=worker, wall_clock=_clock_after, listen_every_s=1e6),
             )
     assert finished, "the schedule was not ended"

@@ -20,6 +20,7 @@ import numpy as np
 
 from analysis.waves.features import ShotFeatures, extract_features
 from daq_service.alarms.states import NOT_ASSESSED
+from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.verification import IdleVerification
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
@@ -36,13 +37,10 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.commands.execution import LISTEN_EVERY_S
-from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat, Stage, WebWatch
-from daq_service.recording.assembly import assemble
 from daq_service.recording.computer_load import ComputerLoadWatch
-from daq_service.recording.host import Host
-from daq_service.recording.persistence import Helpers, Stores
 from daq_service.recording.recorder import Recorder
+from daq_service.recording.resources import Host, Resources, SessionOptions
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
@@ -211,7 +209,7 @@ class Line:
         machine: ComputerLoadWatch | None = None,
         web: WebWatch | None = None,
         notify: Callable[..., None] = lambda event, **values: None,
-        **further: Any,
+        **parts: Any,
     ) -> bool:
         """Run a recorder to its end, as `session.record` does.
 
@@ -221,7 +219,7 @@ class Line:
             Where the clock stands; None: at the end of the last committed set, or within an open one.
         clock
             Another one than a simulated clock that stands there.
-        further
+        parts
             Further parts of the rig.
         """
         with self.catalogue(writer=True) as catalogue:
@@ -237,35 +235,31 @@ class Line:
             rig = Rig(
                 kind="simulated",
                 clock=clock or SimulatedClock(start_ns),
-                **{"striker": instruments, "digitizer": instruments, "pulse_echo": instruments, **further},
+                **{"striker": instruments, "digitizer": instruments, "pulse_echo": instruments, **parts},
             )
-            stores = Stores(
+            resources = Resources(
+                settings=self.settings,
                 archive=archive or MemoryArchive(self.shelf),
                 catalogue=catalogue,
-                live=NoPicture(),
+                rig=rig,
                 heartbeat=self.heartbeat,
-            )
-            parts = assemble(
-                self.settings,
-                stores,
-                rig,
+                live=NoPicture(),
                 stop=stop or threading.Event(),
                 report=notify,
-                helpers=Helpers(
-                    compaction=compaction,
-                    idle_check=idle_check,
-                    disk=disk,
-                    machine=machine,
-                    web=web,
-                    acknowledged=acknowledged,
+                options=SessionOptions(
+                    unsupervised=left_alone or threading.Event(), acknowledged=acknowledged
                 ),
-                features_of=self.features_of,
                 host=Host(mono_s=mono_s, listen_every_s=self.listen_every_s, look_every_s=self.look_every_s),
+                finalizer=compaction,
+                verification=idle_check,
+                disk=disk,
+                computer_load=machine,
+                web=web,
             )
-            recorder = Recorder(parts)
+            recorder = Recorder(resources, features_of=self.features_of)
             self.runs, self.heartbeat.at_the_first = True, self._give_orders
             try:
-                return recorder.run(not_running_reason=cause, unsupervised=left_alone)
+                return recorder.run(not_running_reason=cause)
             finally:
                 recorder.leave()
                 self.runs = False

@@ -37,7 +37,7 @@ from daq_service.processes.child import log_to
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording import session
-from daq_service.recording.host import Host
+from daq_service.recording.resources import Host, SessionOptions
 from daq_service.recording.session import RigOpener
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -138,7 +138,7 @@ def record(
                 opened_by(opener),
                 stop=stop,
                 report=lambda event, **values: None,
-                options=session.SessionOptions(acknowledged=acknowledged_ids.append),
+                options=SessionOptions(acknowledged=acknowledged_ids.append),
                 host=Host(mono_s=clock.s, worker=AtOnce, wall_clock=wall_clock, listen_every_s=1.0),
             )
 

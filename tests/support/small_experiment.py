@@ -24,8 +24,8 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
-from daq_service.recording.host import Host
-from daq_service.recording.session import SessionOptions, record
+from daq_service.recording.resources import Host, SessionOptions
+from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings

@@ -66,8 +66,8 @@ class IdleBench:
     def steps(self, count, free_s=LONG_S):
         """Check a number of files, each at its time; return the corrupt ones."""
         for _ in range(count):
-            self.check.work(free_s)
-            self.check.work(free_s)
+            self.check.run_for(free_s)
+            self.check.run_for(free_s)
             self.now_s += EVERY_S
         return self.check.damaged
 
@@ -76,9 +76,9 @@ def test_files_are_verified_one_after_the_other_in_a_cycle(tmp_path, stored):
     idle = IdleBench(tmp_path)
     assert idle.steps(7) == {}
     assert [f"sets/{name}" for name in idle.worker.files] == [*stored, *stored, stored[0]]
-    idle.check.work(LONG_S)
-    idle.check.work(LONG_S)
-    idle.check.work(LONG_S)
+    idle.check.run_for(LONG_S)
+    idle.check.run_for(LONG_S)
+    idle.check.run_for(LONG_S)
     assert len(idle.worker.files) == 8, "none before its time"
 
 
@@ -109,7 +109,7 @@ def test_an_intact_file_without_a_stored_sha256_gets_one(tmp_path, stored):
     idle = IdleBench(tmp_path)
     damaged, *sound = (tmp_path / file for file in stored)
     damaged.write_bytes(damaged.read_bytes()[:-2000])
-    idle.check.work(LONG_S)
+    idle.check.run_for(LONG_S)
     idle.trouble = CatalogueBusyError("locked")
     idle.steps(2)
     idle.trouble = None

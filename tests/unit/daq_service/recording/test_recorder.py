@@ -8,12 +8,13 @@ from support.memory_archive import MemoryArchive
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
 
 from daq_service.archive import ArchiveWriteError
+from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.write_retry_queue import WriteRetryQueue
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueBusyError
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.errors import RigError
-from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch
+from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.settings.tree import StorageSettings
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ShotKey
@@ -239,19 +240,19 @@ class SlowWorker:
     def waits(self):
         return self.n_under_way > 0
 
-    def put(self, set_index):
+    def after_set(self, set_index):
         self.n_under_way += 1
         self.most = max(self.most, self.n_under_way)
 
-    def work(self):
+    def run_for(self, seconds=0.0):
         self.looks += 1
         self.n_under_way -= self.looks % 4 == 0 and self.n_under_way > 0
 
-    try_again = work
+    try_again = run_for
 
 
 def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
-    monkeypatch.setattr("daq_service.recording.persistence.MOST_UNDER_WAY", 2)
+    monkeypatch.setattr("daq_service.recording.waiting.MOST_UNDER_WAY", 2)
     worker = SlowWorker()
     assert line.run(archive=MemoryArchive(line.shelf), compaction=worker)
     assert (worker.most, worker.n_under_way) == (3, 0)
