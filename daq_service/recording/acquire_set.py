@@ -17,7 +17,7 @@ from daq_service.recording.cost import Cost
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.provenance import provenance
 from daq_service.recording.resources import Resources
-from daq_service.recording.set_assessor import SetAssessor
+from daq_service.recording.set_assessor import SetAssessor, records_planned
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.measurement import Shot
 from hardware_drivers.methods import SOLITARY_WAVE
@@ -171,7 +171,7 @@ class SetAcquisition:
     def is_complete(self, taken: TakenSet) -> bool:
         """Whether everything planned was tried."""
         return taken.is_complete(
-            {name: self._set_assessor.n_planned(name) for name in self._settings.positions}
+            {name: records_planned(self._settings, name) for name in self._settings.positions}
         )
 
     def shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
@@ -182,7 +182,7 @@ class SetAcquisition:
             or self._commands.held
             or "the recorder was told to stop"
         )
-        return taken.shortfall(position, self._set_assessor.n_planned(position), end_reason)
+        return taken.shortfall(position, records_planned(self._settings, position), end_reason)
 
     def record_of(self, due: DueSet, taken: TakenSet, cut_short_reason: str) -> SetRecord:
         """Make the record of a set that is to be stored."""
@@ -190,7 +190,7 @@ class SetAcquisition:
             PositionRecord(
                 position=name,
                 method=place.method,
-                n_planned=self._set_assessor.n_planned(name),
+                n_planned=records_planned(self._settings, name),
                 cause=self.shortfall(name, taken, cut_short_reason),
                 label=place.label,
                 serial_number=place.serial_number,

@@ -31,7 +31,8 @@ from hardware_drivers.instruments import Clock, Rig
 from hardware_drivers.nanoseconds import NS_PER_H
 
 Reporter = Callable[..., None]
-"""Called with the name of an event and its values."""
+"""Called with the name of an event and its values: ``beat``, ``begun`` (first set is due or awaited),
+``progress``, ``alarm``, ``gap``, ``finished``, ``waits`` (for the rig, whose alarm is active)."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

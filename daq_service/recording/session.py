@@ -73,13 +73,6 @@ def record(
 ) -> bool:
     """Follow the schedule to its end; the caller owns the folder.
 
-    Parameters
-    ----------
-    report
-        Called with the name of an event and its values: ``beat``, ``begun`` (the first set is waited for or
-        taken), ``progress``, ``alarm``, ``gap``, ``finished``,
-        ``waits`` (for the rig, whose alarm is active).
-
     Returns
     -------
     bool

@@ -14,6 +14,7 @@ from support.memory_line import Line, memory_settings
 from support.small_experiment import AtOnce
 
 from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.task import BackgroundTask
 from daq_service.background.verification import EVERY_S, QUIET_S, IdleVerification
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueDamagedError
 from daq_service.clock import parse_utc, wall
@@ -149,7 +150,7 @@ def test_a_killed_worker_is_no_corruption(tmp_path, stored):
     assert IdleBench(tmp_path, DyingExecutor()).steps(3) == {}
 
 
-class IdleCheckDouble:
+class IdleCheckDouble(BackgroundTask):
     """Idle check double with given corruption."""
 
     def __init__(self, damaged=()):
@@ -158,8 +159,8 @@ class IdleCheckDouble:
     def begin(self, known=None):
         self.known = dict(known or {})
 
-    def work(self, free_s):
-        self.free_s.append(free_s)
+    def run_for(self, seconds):
+        self.free_s.append(seconds)
 
 
 def alarms(line):
