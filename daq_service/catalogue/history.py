@@ -167,6 +167,17 @@ class HistoryFollower:
         """Add the SHA-256 of a set's file, which the catalogue now has."""
         self._new_digests[file] = sha256
 
+    def run_for(self, seconds: float) -> None:
+        """Append new rows between sets (a `BackgroundTask`)."""
+        self.follow()
+
+    def after_set(self, set_index: int) -> None:
+        """Do nothing: its rows come with the next piece of work."""
+
+    def close(self) -> None:
+        """Append the last rows."""
+        self.follow(now=True)
+
     def begin(self) -> None:
         """Compare the history with the catalogue, and bring it up to date.
 

@@ -177,6 +177,7 @@ def record_alone(
     supervised: bool,
 ) -> int:
     """Run the recorder until the schedule ends or a person stops it."""
+    from daq_service.recording.resources import SessionOptions
     from daq_service.recording.session import record
 
     settings, folder = settings_and_folder(config, data_dir)
@@ -198,12 +199,14 @@ def record_alone(
                 folder,
                 partial(_open_rig_to_stay, report),
                 stop=stop,
-                restart_reason=restart_reason,
                 report=report,
-                linger=linger,
-                unsupervised=abandoned,
-                acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
-                remote_drive=drive,
+                options=SessionOptions(
+                    restart_reason=restart_reason,
+                    linger=linger,
+                    unsupervised=abandoned,
+                    acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
+                    remote_drive=drive,
+                ),
             )
         except SolimonError as error:
             log.error("%s", error)
