@@ -22,7 +22,7 @@ import numpy as np
 
 from daq_service.catalogue.earlier_names import COLUMNS, current_row
 
-RENAMED_TABLES = {"verdicts": "assessments"}
+RENAMED_TABLES = {"assessments": "assessments"}
 RENAMED_COLUMNS = COLUMNS
 """Current names of the columns of each table by their earlier ones; nested keys and values follow."""
 ADDED = {"uuid", "site", "interval_low_m", "interval_high_m", "experiment_identifier"}
@@ -38,8 +38,8 @@ TIMELESS = ADDED | {
 }
 NESTED = {
     "events": ("payload",),
-    "alarms": ("proof", "evidence"),
-    "baselines": ("readiness", "baseline_quality"),
+    "alarms": ("evidence", "evidence"),
+    "baselines": ("baseline_quality", "baseline_quality"),
 }
 """Columns with nested keys, by either name."""
 OF_THE_RUN = {"cost", "versions", "created_utc_ns"}

@@ -39,7 +39,7 @@ SUPPRESSION = (
     *("shelved_until_utc_ns", "shelved_until_wall_utc_ns"),
 )
 """Columns of an alarm about its suppression."""
-NOT_SUPPRESSED: Mapping[str, Any] = MappingProxyType(dict.fromkeys(SUPPRESSION))
+NOT_SUPPRESSED: Mapping[str, object] = MappingProxyType(dict.fromkeys(SUPPRESSION))
 LONGEST_SHELF_H = 72.0
 """Maximum time of a shelf: a weekend."""
 RETIRING = ("no_reflection", "transducer_disabled")
@@ -202,7 +202,7 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     return replace(change, author=author)
 
 
-def add_evidence(row: AlarmRow, evidence: Mapping[str, Any], moment: Moment) -> Change:
+def add_evidence(row: AlarmRow, evidence: Mapping[str, object], moment: Moment) -> Change:
     """Add later results to the evidence of an alarm; its state does not change."""
     return _change_state(
         row, row.state, moment, "alarm_evidence_added", evidence=row.evidence | dict(evidence)
@@ -309,13 +309,13 @@ def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
     )
 
 
-def _updated_columns(row: AlarmRow, condition: Condition) -> dict[str, Any]:
+def _updated_columns(row: AlarmRow, condition: Condition) -> dict[str, object]:
     """Return priority, message and evidence of an existing alarm, updated with its condition."""
     priority = max(row.priority, condition.priority, key=PRIORITIES.index)
     return {"priority": priority, "message": condition.message, "evidence": _evidence_of(condition)}
 
 
-def _evidence_of(condition: Condition) -> dict[str, Any]:
+def _evidence_of(condition: Condition) -> dict[str, object]:
     return dict(condition.evidence) | ({"known": condition.known} if condition.known else {})
 
 

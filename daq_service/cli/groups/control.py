@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from functools import partial
-from typing import Any
 
 import click
 
@@ -32,7 +31,7 @@ SENT = (
 OF_A_TRANSDUCER = (POSITION, *SENT)
 
 
-def _send(kind: str, **options: Any) -> int:
+def _send(kind: str, **options: object) -> int:
     """Ask for a missing reason and send the command."""
     if kind in REASONS and not options["note"].strip():
         message, question = REASONS[kind]
@@ -45,7 +44,7 @@ def _send(kind: str, **options: Any) -> int:
 
 
 def _switch_supply(
-    on: bool | None, voltage_v: float | None, current_limit_a: float | None, **options: Any
+    on: bool | None, voltage_v: float | None, current_limit_a: float | None, **options: object
 ) -> int:
     if on is None:
         raise click.UsageError("give --on or --off")

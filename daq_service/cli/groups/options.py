@@ -18,14 +18,14 @@ from daq_service.errors import EXIT_OK
 class _Positive(click.FloatRange):
     """Positive finite number: a range alone accepts infinity and NaN."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> object:
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no finite number.", param, ctx)
         return number
 
 
-Decorator = Callable[[Any], Any]
+Decorator = Callable[[object], object]
 option, argument, Choice, IntRange = click.option, click.argument, click.Choice, click.IntRange
 
 PATH = click.Path(path_type=Path)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import click
 
@@ -35,7 +34,7 @@ from daq_service.cli.groups.options import (
 )
 
 
-def _run_demo(**options: Any) -> int:
+def _run_demo(**options: object) -> int:
     """Print the first line before the imports: on a cold machine these take seconds."""
     from daq_service.processes.printing import print_line
 
@@ -43,7 +42,7 @@ def _run_demo(**options: Any) -> int:
     return call("demo:run_demo", **options)
 
 
-def _run_child(target: str, **options: Any) -> int:
+def _run_child(target: str, **options: object) -> int:
     """Run a process that may have a supervisor."""
     from daq_service.cli.run import child_code
 
