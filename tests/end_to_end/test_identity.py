@@ -26,7 +26,8 @@ def uuids(folder: Path) -> list[str]:
     with open_catalogue(folder) as catalogue:
         row = catalogue.experiment_row()
     file = orjson.loads((folder / "experiment.json").read_bytes())["experiment"]
-    newest = read_set(set_files(folder)[-1]).provenance["experiment"]
+    files = set_files(folder)
+    newest = read_set(files[max(files)]).provenance["experiment"]
     assert {row.site, file["site"], newest["site"]} == {"Hall 3"}
     return [row.uuid, file["uuid"], newest["uuid"]]
 

@@ -125,7 +125,7 @@ def test_status_is_a_table_with_colour(ran: PseudoTerminal, folder: Path) -> Non
         assert terminal.end() == 0
     check("status", terminal, folder)
     assert "\x1b[32mfinished: " in terminal.written
-    assert "\x1b[36mlearning" in terminal.written
+    assert "\x1b[36mcollecting baseline" in terminal.written
 
 
 def test_status_in_a_pipe_has_the_same_words_and_no_colour(ran: PseudoTerminal, folder: Path) -> None:

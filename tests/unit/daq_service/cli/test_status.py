@@ -325,7 +325,7 @@ def test_a_position_that_collects_its_baseline_has_no_limit_yet(tmp_path: Path) 
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False, assessed=False)
     row = line_of(status_of(filled), " D")
-    assert row.startswith(" D  learning  ToF ")
+    assert row.startswith(" D  collecting baseline  ToF ")
     assert "  none yet  -  good, n = 1  " in row
     filled.catalogue.commit_set(
         SetCommit(
