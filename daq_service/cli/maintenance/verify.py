@@ -19,8 +19,9 @@ from daq_service.archive.records import (
     QUARANTINE_FOLDER,
     SETS_FOLDER,
     TEMPORARY_SUFFIX,
+    due_utc_ns,
     referenced_sets,
-    set_reference,
+    set_indices,
 )
 from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
@@ -296,7 +297,8 @@ def _compare(
     lost: frozenset[int],
 ) -> Iterator[Finding]:
     """Compare a set with its rows."""
-    if reference != set_reference(record.set_index, record.due_utc_ns):
+    named, due_s = set_indices([reference.rpartition("/")[2]]), record.due_utc_ns // NS_PER_S
+    if (named, due_utc_ns(reference)) != ({record.set_index}, due_s * NS_PER_S):
         description = (
             f"it holds set {record.set_index} of {format_utc(record.due_utc_ns)}: somebody gave it this name"
         )
