@@ -5,22 +5,20 @@ from __future__ import annotations
 from daq_service.cli.groups import options
 from daq_service.cli.groups.options import argument, command, option
 
-verify = command("verify", "maintenance.command:run_verify", options.DATA_DIR_ALONE, options.JSON)
+verify = command("verify", "maintenance.command:run_verify", *options.DATA_JSON)
 repair = command(
     "repair",
     "maintenance.command:run_repair",
-    options.DATA_DIR_ALONE,
+    *options.DATA_JSON,
     option("--apply", is_flag=True, help="Make the repairs; needs a stopped recorder."),
     option("--from", "backup", type=options.FOLDER, help="A backup of this test, for lost files."),
-    options.JSON,
 )
-rebuild = command("rebuild", "maintenance.rebuild:print_rebuilt", options.DATA_DIR_ALONE, options.JSON)
+rebuild = command("rebuild", "maintenance.rebuild:print_rebuilt", *options.DATA_JSON)
 backup = command(
     "backup",
     "maintenance.command:run_backup",
     argument("destination", type=options.FOLDER),
-    options.DATA_DIR_ALONE,
-    options.JSON,
+    *options.DATA_JSON,
 )
 export = command(
     "export",
@@ -51,6 +49,5 @@ export = command(
         help="With --table: scheduled sets (default), confirmation sets, or both.",
     ),
     option("--fields", metavar="NAMES", help="With --table: these columns only, for example tof_pp_s."),
-    options.OVERWRITE,
-    options.JSON,
+    *options.FILES_JSON,
 )

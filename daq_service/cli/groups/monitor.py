@@ -12,9 +12,8 @@ from daq_service.cli.groups.options import argument, command, option, repeated
 status = command(
     "status",
     "status.command:run_status",
-    *options.ONE_TEST,
+    *options.ONE_TEST_JSON,
     option("--watch", is_flag=True, help="Update every second until Ctrl-C; needs a terminal."),
-    options.JSON,
 )
 explain = command(
     "explain",
@@ -22,8 +21,7 @@ explain = command(
     argument("alarm_id", metavar="ALARM", type=options.IntRange(min=1)),
     options.DATA_DIR_ALONE,
     option("--out", type=options.FOLDER, help="Folder for page and options.JSON; default: a new one here."),
-    options.OVERWRITE,
-    options.JSON,
+    *options.FILES_JSON,
 )
 report = command(
     "report",
@@ -32,8 +30,7 @@ report = command(
     option("--from-h", type=float, help="From this hour on."),
     option("--to-h", type=float, help="Before this hour."),
     option("--out", type=options.FILE, help="Its file; default: report_FOLDER.html here."),
-    options.OVERWRITE,
-    options.JSON,
+    *options.FILES_JSON,
 )
 acceptance_report = command(
     "acceptance-report",

@@ -36,10 +36,8 @@ demo = command(
         type=options.POSITIVE,
         help="Test hours per second; default 5, with --exit as fast as possible.",
     ),
-    options.PAGE_PORT,
     option("--exit", "exit_when_done", is_flag=True, help="Stop when the test is done."),
-    options.NO_WEB,
-    options.NO_BROWSER,
+    *options.PAGE,
     option(
         "--rig",
         type=options.Choice(["simulated", "daqmx-library", "daqmx-grpc"]),
@@ -131,9 +129,7 @@ setup = command(
     option(
         "--data-dir", type=options.FOLDER, help="Folder whose recorder must not run; default: the file's own."
     ),
-    options.PAGE_PORT,
-    options.NO_WEB,
-    options.NO_BROWSER,
+    *options.PAGE,
     options.JSON,
     details="The proposed settings come from waves that you record. It strikes only when you confirm.",
 )
@@ -152,9 +148,8 @@ init = command(
 check_config = command(
     "check-config",
     "inspection:print_configuration",
-    *options.ONE_TEST,
+    *options.ONE_TEST_JSON,
     option("--schema", is_flag=True, help="Print the options.JSON Schema of the configuration and stop."),
-    options.JSON,
 )
 service = command(
     "service",
@@ -170,13 +165,12 @@ service = command(
 doctor = command(
     "doctor",
     "doctor.command:run_doctor",
-    *options.ONE_TEST,
+    *options.ONE_TEST_JSON,
     option("--strike", metavar="POSITION", help="Also strike this transducer; on boards twice."),
-    options.JSON,
     details="Nothing strikes without --strike.",
 )
-token = group("token", details="A running service follows at once.")
-token.add_command(
+token = group(
+    "token",
     build(
         "create",
         "set_up.token:run_create",
@@ -188,32 +182,26 @@ token.add_command(
             help="Each may do what those before it may.",
         ),
         option("--days", type=options.POSITIVE, help="Days until it expires; default: never."),
-        *options.ONE_TEST,
-        options.JSON,
+        *options.ONE_TEST_JSON,
         text="Create a token for NAME and print it once.",
-    )
-)
-token.add_command(
+    ),
     build(
         "list",
         "set_up.token:run_list",
-        *options.ONE_TEST,
-        options.JSON,
+        *options.ONE_TEST_JSON,
         text="List the tokens: name, role, state, expiry.",
-    )
-)
-token.add_command(
+    ),
     build(
         "revoke",
         "set_up.token:run_revoke",
         argument("name"),
-        *options.ONE_TEST,
-        options.JSON,
+        *options.ONE_TEST_JSON,
         text="Revoke NAME's token; its pages end within seconds.",
-    )
+    ),
+    details="A running service follows at once.",
 )
-notify = group("notify")
-notify.add_command(
+notify = group(
+    "notify",
     build(
         "test",
         "set_up.notify:run_test",
@@ -221,7 +209,7 @@ notify.add_command(
         option("--receiver", metavar="NAME", help="This receiver only; default: all."),
         options.JSON,
         text="Send each receiver one marked test message and print the results.",
-    )
+    ),
 )
 
 

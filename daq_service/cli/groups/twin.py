@@ -39,8 +39,7 @@ simulate = command(
     option("--waveforms", is_flag=True, help="Also store the forces at the sensor (.h5 only)."),
     options.WORKERS,
     executor("Default: threads for a short sweep, processes for a long one; a cluster needs the extra."),
-    options.OVERWRITE,
-    options.JSON,
+    *options.FILES_JSON,
 )
 reproduce = command(
     "reproduce",
