@@ -98,7 +98,7 @@ def _comment(text: str, width: int = WIDTH) -> list[str]:
     return [f"# {line}" for line in textwrap.wrap(text, width - 2, break_on_hyphens=False)]
 
 
-def _item(value: Any) -> Item:
+def _item(value: object) -> Item:
     """Return a value as TOML; a float in powers of 1000 where that is shorter."""
     match value:
         case float():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 from functools import partial
-from typing import Any
+from importlib import import_module
 
 import click
 
@@ -33,27 +33,26 @@ SENT = (
 OF_A_TRANSDUCER = (options.POSITION, *SENT)
 
 
-def _send(kind: str, **given: Any) -> int:
+def _send(kind: str, *, note: str, **given: object) -> int:
     """Ask for a missing reason and send the command."""
-    if kind in REASONS and not given["note"].strip():
+    if kind in REASONS and not note.strip():
         message, question = REASONS[kind]
         if not sys.stdin.isatty():
             raise click.UsageError(message)
-        given["note"] = click.prompt(question, err=True)
-    from daq_service.commands.send import send_command
-
-    return send_command(kind, **given)
+        note = click.prompt(question, err=True)
+    code: int = import_module("daq_service.commands.send").send_command(kind, note=note, **given)
+    return code
 
 
 def _switch_supply(
-    on: bool | None, voltage_v: float | None, current_limit_a: float | None, **given: Any
+    on: bool | None, voltage_v: float | None, current_limit_a: float | None, note: str, **given: object
 ) -> int:
     if on is None:
         raise click.UsageError("give --on or --off")
     if not on and (voltage_v is not None or current_limit_a is not None):
         raise click.UsageError("--voltage-v and --current-limit-a belong to --on")
     values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a} if on else {}
-    return _send("supply_on" if on else "supply_off", **values, **given)
+    return _send("supply_on" if on else "supply_off", note=note, **values, **given)
 
 
 pause = command("pause", partial(_send, "pause"), *SENT)

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -18,14 +17,14 @@ from daq_service.errors import EXIT_OK
 class _Positive(click.FloatRange):
     """Positive finite number: a range alone accepts infinity and NaN."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> object:
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no finite number.", param, ctx)
         return number
 
 
-Decorator = Callable[[Any], Any]
+Decorator = Callable[[object], object]
 option, argument, Choice, IntRange = click.option, click.argument, click.Choice, click.IntRange
 
 PATH = click.Path(path_type=Path)
@@ -70,7 +69,7 @@ def executor(text: str) -> Decorator:
     return option("--executor", metavar="processes|threads|dask://HOST", help=text)
 
 
-def call(target: str, **options: Any) -> int:
+def call(target: str, **options: object) -> int:
     """Import the function ``MODULE:NAME`` of the command line and return its exit code."""
     module, _, function = target.partition(":")
     return getattr(import_module(f"daq_service.cli.{module}"), function)(**options) or EXIT_OK

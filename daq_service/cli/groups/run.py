@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 import click
 
@@ -11,7 +10,7 @@ from daq_service.cli.groups import options
 from daq_service.cli.groups.options import argument, build, call, command, group, option, repeated
 
 
-def _run_demo(**given: Any) -> int:
+def _run_demo(**given: object) -> int:
     """Print the first line before the imports: on a cold machine these take seconds."""
     from daq_service.processes.printing import print_line
 
@@ -19,7 +18,7 @@ def _run_demo(**given: Any) -> int:
     return call("demo:run_demo", **given)
 
 
-def _run_child(target: str, **given: Any) -> int:
+def _run_child(target: str, **given: object) -> int:
     """Run a process that may have a supervisor."""
     from daq_service.cli.run import child_code
 

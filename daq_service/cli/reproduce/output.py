@@ -8,7 +8,6 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from daq_service.cli.reproduce.item import Table
 from daq_service.errors import StorageError
@@ -44,7 +43,7 @@ def prepare_output(folder: Path) -> None:
         raise StorageError(f"cannot write {folder}: {error.strerror}; choose another with --out") from error
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
+def write_json(path: Path, content: Mapping[str, object]) -> None:
     """Write an object as JSON."""
     write_output(path, (json.dumps(content, indent=1) + "\n").encode())
 
@@ -62,7 +61,7 @@ def csv_bytes(table: Table) -> bytes:
     return text.getvalue().encode()
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, float):  # numpy's float64 too

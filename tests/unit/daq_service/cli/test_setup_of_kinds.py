@@ -87,8 +87,8 @@ def test_a_strike_without_a_record_writes_nothing(file, script, tmp_path):
     script.comes = False
     bench = bench_of_kinds(["scripted-scope", "scripted-hammer"], [], file, tmp_path / "data")
     dialogue = Dialogue()
+    flags = Flags(transducers={"B": "scripted-scope/scripted-hammer"}, strike=True)
     with pytest.raises(RigError, match="B gave no record"):
-        flags = Flags(transducers={"B": "scripted-scope/scripted-hammer"}, strike=True)
         set_up_transducers(dialogue, Kinds(dialogue, bench), flags)
     assert any("no record (" in line and "nothing came at B" in line for line in dialogue.lines)
     assert not file.exists()
