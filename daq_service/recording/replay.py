@@ -287,6 +287,7 @@ class _Replay:
             self._alarms |= {row.id or 0: row for row in self._set_assessor.alarms.values()}
             return
         transaction.alarms, transaction.events, transaction.alarm_of_event = [], list(events), {}
+        self._set_assessor.add_states(transaction)
         self._catalogue.commit_set(transaction)
         self._set_assessor.confirmations.take_rows(transaction)
         for event in events:

@@ -26,6 +26,7 @@ from daq_service.archive import SetReader, SetRecord
 from daq_service.assessment.assessor import Assessor, PositionResult
 from daq_service.assessment.confirmation import overlap_reason, summarize_confirmation
 from daq_service.assessment.methods import METHODS
+from daq_service.assessment.stored_state import state_rows
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
@@ -85,6 +86,9 @@ class SetAssessor:
         self.confirmations = Confirmations(settings, catalogue)
         self._archive, self._rehearsal = archive, rehearsal
         self._assessors = {position: self._restored(position) for position in settings.positions}
+        self._stored_states: dict[str, object] = {}
+        self._configuration_hash = settings.configuration_hash()
+        self._reinstated = False
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self._delayed_since_ns: dict[tuple[str | None, str], int | None] = {}
         for event in catalogue.rows(EventRow, topic="alarms", kind=DELAY_EVENT):
@@ -115,10 +119,12 @@ class SetAssessor:
     def reinstated(self, position: str) -> None:
         """Reset the reason why a transducer was disabled: a person has enabled it."""
         self._assessor(position).reinstate()
+        self._reinstated = True
 
     def renewed(self, position: str) -> None:
         """Judge by what is stored from the next set on: a person has begun another baseline."""
         self._assessors.pop(position, None)
+        self._stored_states.pop(position, None)
 
     def _restored(self, position: str) -> Assessor:
         method = METHODS[self._settings.positions[position].method]
@@ -305,12 +311,31 @@ class SetAssessor:
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             self._report_changes(transaction)
             return
+        # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
+        if indices or (self._reinstated and self._uncommitted is None):
+            self.add_states(transaction)
         self._uncommitted = transaction if indices else self._uncommitted
         with self._cost.of("commit_s"):
             committed = self._catalogue.commit_set(transaction)
+        self._uncommitted = None if transaction is self._uncommitted else self._uncommitted
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
         self._report_changes(transaction)
+
+    def add_states(self, transaction: Transaction) -> None:
+        """Add the states of the assessors that have changed."""
+        for position, assessor in self._assessors.items():
+            before, after = self._stored_states.get(position), assessor.state
+            for row in state_rows(
+                before,
+                after,
+                position=position,
+                baseline_id=assessor.baseline_id,
+                configuration_hash=self._configuration_hash,
+            ):
+                transaction.states[row.place] = row
+            self._stored_states[position] = after
+        self._reinstated = False
 
     def _report_changes(self, transaction: Transaction) -> None:
         """Report gaps and alarm changes to the program that started the test."""
