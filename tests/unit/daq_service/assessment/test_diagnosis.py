@@ -194,14 +194,17 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     assert not any("not the chart" in sentence for sentence in evidence(by_chart.kind, by_chart.proof))
 
 
+def restarted(state):
+    """Return the state after a restart: stored and read."""
+    rows = state_rows(None, state, position="B", baseline_id=1, configuration_hash="")
+    return state_of(State, rows)
+
+
 def test_a_restart_continues_from_the_stored_state_bit_for_bit():
     _, uninterrupted = run(CHANGES[WALL])
     state = State()
     for item in sets(CHANGES[WALL]):
-        rows = state_rows(None, state, position="B", baseline_id=1, configuration_hash="")
-        state = state_of(State, rows)
-        assert state_rows(None, state, position="B", baseline_id=1, configuration_hash="") == rows
-        state, assessment = step(state, item, RULES)
+        state, assessment = step(restarted(state), item, RULES)
     assert bits(assessment) == bits(uninterrupted)
 
 
@@ -228,7 +231,8 @@ def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     design, values = state.baseline.causes, found[struck_after].values
     memory, confirmed = diagnose_confirmation(state.diagnosis_state, design, values)
     assert (confirmed.cause, confirmed.reseated) == (COUPLING, True)
-    state, assessment = run(change, state=replace(state, diagnosis_state=memory), since=struck_after + 1)
+    confirmed_state = restarted(replace(state, diagnosis_state=memory))
+    state, assessment = run(change, state=confirmed_state, since=struck_after + 1)
     assert assessment.cause.cause == COUPLING
     wall, transducer = wall_conditions("B", state, RULES, row_of(assessment))
     assert (wall.present, transducer.present) == (False, True)
