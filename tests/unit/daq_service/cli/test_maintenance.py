@@ -201,7 +201,7 @@ def test_a_set_of_another_test_or_under_another_name_is_named(folder):
 
 def audit_three(folder):
     for author in ("ann", "ben", "cleo"):
-        Audit(folder).add(who=author, role="admin", source="terminal", what="hold", result="accepted")
+        Audit(folder).add(who=author, role="admin", source="terminal", what="pause", result="accepted")
 
 
 def notify_three(folder):
