@@ -41,7 +41,7 @@ from daq_service.processes.worker import one_worker
 from daq_service.recording.computer_load import ComputerLoadWatch
 from daq_service.recording.opening import WAITS_FOR_RIG_S, Opening, OpeningAlarm, open_patiently
 from daq_service.recording.persistence import Helpers
-from daq_service.recording.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild
 from daq_service.recording.recorder import Recorder, Reporter
 from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.settings.instruments import configured

@@ -23,13 +23,13 @@ from daq_service.alarms.states import (
     update,
 )
 from daq_service.archive import SetReader, SetRecord
-from daq_service.assessment.assessor import Assessor, PositionResult
+from daq_service.assessment.assessor import Assessor, PositionResult, StoredResult
 from daq_service.assessment.confirmation import overlap_reason, summarize_confirmation
 from daq_service.assessment.methods import METHODS
 from daq_service.assessment.stored_state import state_rows
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.recording.confirmations import Confirmations
@@ -120,6 +120,24 @@ class SetAssessor:
         """Reset the reason why a transducer was disabled: a person has enabled it."""
         self._assessor(position).reinstate()
         self._reinstated = True
+
+    def knows(self, position: str | None) -> bool:
+        """Return whether a position belongs to the test."""
+        return position in self._settings.positions
+
+    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
+        """Update the state with a set by its rows (`Assessor.follow`)."""
+        return self._assessor(stored.its_set.position).follow(stored)
+
+    @property
+    def states(self) -> dict[str, object]:
+        """Return the state of each position; set it to continue from an earlier one."""
+        return {position: assessor.state for position, assessor in self._assessors.items()}
+
+    @states.setter
+    def states(self, states: Mapping[str, object]) -> None:
+        for position, state in states.items():
+            self._assessors[position].state = state
 
     def renewed(self, position: str) -> None:
         """Judge by what is stored from the next set on: a person has begun another baseline."""

@@ -14,7 +14,7 @@ from daq_service.processes.data_folder import own_data_folder, prepare_data_fold
 
 def print_rebuilt(*, data_dir: Path, as_json: bool) -> None:
     """Rebuild the catalogue and print the result; progress goes to standard error."""
-    from daq_service.recording.rebuild import rebuild
+    from daq_service.recording.reassessment.rebuild import rebuild
 
     folder = data_dir.absolute()
     prepare_data_folder(folder, may_create=False)

@@ -8,10 +8,10 @@ import click
 import orjson
 
 from daq_service.cli.offline.evidence.alarm_page import facts_of, page_of, recomputation_text, title_of
-from daq_service.cli.offline.evidence.explanation import explained
-from daq_service.cli.offline.evidence.reassess import printed_progress
 from daq_service.errors import StorageUnavailableError, UsageError
 from daq_service.processes.data_folder import new_folder
+from daq_service.recording.reassessment.explanation import explained
+from daq_service.recording.reassessment.reassess import printed_progress
 from daq_service.shared_file import write_durably
 
 

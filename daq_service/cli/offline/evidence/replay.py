@@ -17,7 +17,10 @@ from daq_service.archive import FolderSetReader
 from daq_service.assessment.baseline_lifecycle import baseline_range
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import AssessmentRow, FeatureRow
-from daq_service.cli.offline.evidence.changes import (
+from daq_service.errors import UsageError
+from daq_service.processes.data_folder import refuse_other_folders
+from daq_service.processes.executors import checked_name, opened_executor, usable_cores, workers_of
+from daq_service.recording.reassessment.changes import (
     ASSESSED,
     EXTRACTED,
     AlarmChanges,
@@ -27,18 +30,15 @@ from daq_service.cli.offline.evidence.changes import (
     differences,
     onsets,
 )
-from daq_service.cli.offline.evidence.features_ahead import ExtractedAhead
-from daq_service.cli.offline.evidence.other_settings import changed, parsed
-from daq_service.cli.offline.evidence.reassess import (
+from daq_service.recording.reassessment.features_ahead import ExtractedAhead
+from daq_service.recording.reassessment.other_settings import changed, parsed
+from daq_service.recording.reassessment.reassess import (
     Progress,
     assess_again,
     printed_progress,
     stored_features,
     temporary_catalogue,
 )
-from daq_service.errors import UsageError
-from daq_service.processes.data_folder import refuse_other_folders
-from daq_service.processes.executors import checked_name, opened_executor, usable_cores, workers_of
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import in_order
 from hardware_drivers.methods import SOLITARY_WAVE

@@ -19,10 +19,10 @@ from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.assessment.baseline_lifecycle import approve
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow
 from daq_service.cli.offline.evidence import replay
-from daq_service.cli.offline.evidence.changes import Onset, alarm_changes
-from daq_service.cli.offline.evidence.other_settings import assessment_keys, changed, parsed
 from daq_service.cli.offline.evidence.replay import in_words, replayed
 from daq_service.errors import UsageError
+from daq_service.recording.reassessment.changes import Onset, alarm_changes
+from daq_service.recording.reassessment.other_settings import assessment_keys, changed, parsed
 
 
 @pytest.fixture(scope="module")

@@ -41,8 +41,8 @@ from daq_service.catalogue.rows import (
     ShotRow,
 )
 from daq_service.catalogue.store import open_for_a_while
-from daq_service.cli.offline.evidence.changes import LIFE
 from daq_service.recording.cost import Cost
+from daq_service.recording.reassessment.changes import LIFE
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PLANNED_SETS, Shot, in_order
