@@ -42,11 +42,11 @@ from daq_service.recording.reassessment.changes import (
 )
 from daq_service.recording.reassessment.pulses_of_sets import Pulses, pulses_of
 from daq_service.recording.reassessment.reassess import (
-    Progress,
     assess_again,
     extracted_features,
     temporary_catalogue,
 )
+from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE

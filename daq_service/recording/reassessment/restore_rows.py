@@ -51,6 +51,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_reason
+from daq_service.recording.reassessment.changes import comparable
 from daq_service.recording.reassessment.stored_runs import Progress, Run, repeat_action, row_of, runs_of
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
@@ -433,7 +434,8 @@ def _differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> li
     return [
         f"set {event.set_index}, {event.position}: {event.kind}"
         for event in stored
-        if _key(event) in found and _stored_columns(event, found[_key(event)]) != _json(event.payload)
+        if _key(event) in found
+        and _stored_columns(event, found[_key(event)]) != _json(comparable(event.payload))
     ]
 
 
