@@ -23,7 +23,6 @@ from daq_service.archive.consolidated import (
     consolidated_image,
     group_names_of,
 )
-from daq_service.archive.records import TEMPORARY_SUFFIX
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.rows import (
@@ -36,10 +35,10 @@ from daq_service.catalogue.rows import (
     columns_of,
 )
 from daq_service.clock import format_utc
-from daq_service.errors import StorageError, StorageUnavailableError, UsageError
+from daq_service.errors import StorageError, UsageError
 from daq_service.processes.data_folder import OWN_NAMES
 from daq_service.processes.lost_catalogue import lost_reason
-from daq_service.shared_file import write_durably
+from daq_service.shared_file import write_output
 from hardware_drivers.methods import PULSE_ECHO
 
 R = TypeVar("R", bound=Row)
@@ -125,12 +124,7 @@ def export_hdf5(
         )
         sets = {name: _set_columns(catalogue, name, found) for name, found in rows.items() if found}
     image = consolidated_image(target, folder, facts, shots, sets)
-    try:
-        write_durably(target, image, temporary=target.with_name(f"{target.name}{TEMPORARY_SUFFIX}"))
-    except OSError as error:
-        raise StorageUnavailableError(
-            f"{target} cannot be written: {error}; free or mend the disk"
-        ) from error
+    write_output(target, image)
     return Exported(
         file=str(target),
         n_bytes=len(image),

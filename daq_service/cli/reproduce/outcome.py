@@ -16,9 +16,10 @@ import click
 
 from daq_service.cli.reproduce.comparison import Row, tally
 from daq_service.cli.reproduce.evidence import Evidence
-from daq_service.cli.reproduce.output import RECORD, REPORT, write_json, write_whole
+from daq_service.cli.reproduce.output import RECORD, REPORT, write_json
 from daq_service.cli.reproduce.page import Report, Section, report_page
 from daq_service.recording.provenance import PACKAGES
+from daq_service.shared_file import write_output
 
 TITLE = "The paper's evaluation, reproduced"
 
@@ -113,7 +114,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
     ]
     if missing:
         remarks.append(f"Interrupted before {', '.join(missing)} could be made.")
-    write_whole(
+    write_output(
         run.out / REPORT,
         report_page(Report(title=TITLE, facts=facts, sections=run.sections, remarks=remarks)),
     )

@@ -23,7 +23,7 @@ from daq_service.cli.reproduce.experiment import BY_SETS, check_test_folder, run
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product
 from daq_service.cli.reproduce.items import chosen_items
 from daq_service.cli.reproduce.outcome import Outcome, facts_of_test, finish, print_result, versions
-from daq_service.cli.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output, write_whole
+from daq_service.cli.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output
 from daq_service.cli.reproduce.page import Section
 from daq_service.cli.reproduce.style import house_style, rendered
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
@@ -32,6 +32,7 @@ from daq_service.processes.data_folder import new_folder
 from daq_service.processes.worker import one_worker
 from daq_service.settings.stored import differences
 from daq_service.settings.tree import Settings
+from daq_service.shared_file import write_output
 from simulator.errors import SimulatorError
 
 POLL_S = 0.1
@@ -227,7 +228,7 @@ def _written(
     for ending, table in product.tables.items():
         contents[f"{stem}_{ending}.csv" if ending else f"{stem}.csv"] = csv_bytes(table)
     for name, content in contents.items():
-        write_whole(run.out / name, content)
+        write_output(run.out / name, content)
     return Section(
         name=item.name,
         title=item.title,

@@ -1,4 +1,4 @@
-"""Names of the field for tables, columns, kinds and nested keys; UUID and site of a test; thickness interval.
+"""Names of the field, identity of a test, thickness intervals, states of assessors.
 
 Rows whose names or values change get their checksums when all migrations are done (`seal_unsealed`).
 """
@@ -63,6 +63,18 @@ def upgrade() -> None:
     op.execute(f"UPDATE experiment SET uuid = {identity}, row_crc32 = NULL")
     for name in ("interval_low_m", "interval_high_m"):
         op.add_column("thickness", sa.Column(name, sa.Float(), nullable=True))
+    # The recorder computes the states of an older folder once.
+    op.create_table(
+        "assessor_states",
+        sa.Column("place", sa.String(), nullable=False),
+        sa.Column("position", sa.String(), nullable=False),
+        sa.Column("baseline_id", sa.Integer(), nullable=True),
+        sa.Column("configuration_hash", sa.String(64), nullable=False),
+        sa.Column("format", sa.Integer(), nullable=False),
+        sa.Column("state", sa.String(), nullable=False),
+        sa.Column("row_crc32", sa.BigInteger(), nullable=True),
+        sa.PrimaryKeyConstraint("place", name=op.f("pk_assessor_states")),
+    )
 
 
 def _rename_assessments() -> None:
