@@ -78,7 +78,7 @@ def data_hour(last: LatestRows) -> float | None:
 
 def is_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
     """Return whether the newest set is older than the schedule explains, or no recorder runs."""
-    if age_h is None or fresh.recorder.status in {"silent", "absent", "stopped"}:
+    if age_h is None or fresh.recorder.status in {"not_responding", "not_started", "stopped"}:
         return True
     return age_h > STALE_INTERVALS * interval_at(schedule, fresh.now_h)
 

@@ -94,7 +94,7 @@ class AsOf(Answer):
     now_h: float = Field(description="Hours since the experiment began")
     last_write_wall_utc: str | None = Field(description="Wall time of the recorder's last committed event")
     wall_age_s: float | None = Field(description="Wall seconds since then")
-    recorder: Literal["running", "finished", "stopped", "silent", "absent"]
+    recorder: Literal["running", "finished", "stopped", "not_responding", "not_started"]
 
 
 @_of_row(rows.SetRow)
@@ -548,7 +548,7 @@ class Liveness(Answer):
 class RecorderHealth(Answer):
     """Status and heartbeat of the recorder."""
 
-    state: Literal["running", "finished", "stopped", "silent", "absent"]
+    state: Literal["running", "finished", "stopped", "not_responding", "not_started"]
     description: str
     doing: str | None
     beat_age_s: float | None

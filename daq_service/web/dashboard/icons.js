@@ -57,8 +57,8 @@ export const RECORDER = {
   running: { label: "Live", icon: "check", tone: "good" },
   finished: { label: "Test finished", icon: "flag", tone: "info" },
   stopped: { label: "Recorder stopped", icon: "stop", tone: "warn" },
-  silent: { label: "Recorder silent", icon: "triangle", tone: "alarm" },
-  absent: { label: "Recorder absent", icon: "triangle", tone: "warn" },
+  not_responding: { label: "Recorder silent", icon: "triangle", tone: "alarm" },
+  not_started: { label: "Recorder absent", icon: "triangle", tone: "warn" },
 };
 
 /** @type {Record<string, Look>} */

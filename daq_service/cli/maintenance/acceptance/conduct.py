@@ -68,7 +68,9 @@ def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
     quantity, recorder_starts = partial(Quantity, "Recorder"), starts(evidence)
     n_crashes = sum(before is not None and before.kind not in FAREWELLS for _, before in recorder_starts)
     is_gone = (
-        evidence.recorder.status in ("silent", "absent") and not evidence.is_copy and bool(recorder_starts)
+        evidence.recorder.status in ("not_responding", "not_started")
+        and not evidence.is_copy
+        and bool(recorder_starts)
     )
     yield quantity(
         "span_h",

@@ -13,7 +13,7 @@ SETS = {
 """Due times by index, in the order of time."""
 
 
-def test_the_last_name_is_that_of_the_newest_set_and_tells_its_index():
+def test_the_last_name_is_that_of_the_newest_set_and_has_its_index():
     names = [PurePosixPath(set_reference(index, due)).name for index, due in SETS.items()]
     assert names == sorted(names)
     assert names[2] == "set_000001_19700101T010600Z_001.h5"

@@ -91,7 +91,7 @@ def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind: str, wor
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: str) -> None:
     command = order(kind, **ARGUMENTS.get(kind, {}))
-    refusal = command.forbidden(facts(**OPEN, recorder="silent", recorded=False))
+    refusal = command.forbidden(facts(**OPEN, recorder="not_responding", recorded=False))
     assert (refusal is None) == isinstance(command, DeskOrder)
     if refusal is not None:
         assert refusal.detail == "Nobody records this test: nobody would carry this out."

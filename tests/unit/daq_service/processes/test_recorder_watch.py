@@ -119,7 +119,7 @@ def test_a_recorder_that_fails_at_each_set_is_detected(bench: Bench) -> None:
     assert row.raised_h == pytest.approx(2.1 + MOST_INTERVALS * INTERVAL_H, abs=2.0 * LOOK_EVERY_H)
 
 
-@pytest.mark.parametrize("state", ["silent", "stopped", "absent"])
+@pytest.mark.parametrize("state", ["not_responding", "stopped", "not_started"])
 def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: RecorderStatus) -> None:
     bench.hour = 2.1
     bench.store()
@@ -131,7 +131,7 @@ def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: RecorderS
 def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
     bench.hour = 0.1
     bench.store()
-    bench.status, bench.hour = "silent", 9.0
+    bench.status, bench.hour = "not_responding", 9.0
     bench.watch = RecorderWatch(
         SETTINGS, bench.watch._folder, lambda: bench.catalogue, mono_s=lambda: 3600.0 * bench.hour
     )
@@ -171,7 +171,7 @@ def test_a_test_without_due_sets_raises_nothing(bench: Bench, change) -> None:
 
 def test_a_waiting_recorder_raises_its_own_alarms(bench: Bench) -> None:
     bench.run(3.0)
-    bench.status = "silent"
+    bench.status = "not_responding"
     bench.run(MOST_INTERVALS * INTERVAL_H - 0.1)
     assert bench.alarms() == []
     bench.run(0.2)

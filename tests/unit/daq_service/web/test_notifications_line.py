@@ -359,7 +359,7 @@ def test_a_heartbeat_message_has_recorder_state_and_age_and_stops_with_the_recor
         "The recorder is running (running, waiting); the last set is 15.0 min old on the test's clock."
     )
     assert len(bench.run(60.0)) == 2
-    facts["recorder"] = "silent"
+    facts["recorder"] = "not_responding"
     assert bench.run(300.0) == []
     assert bench.line.state.heartbeat == "withheld"
     assert [line.result.partition(":")[0] for line in bench.log_lines("heartbeat")] == [

@@ -356,7 +356,7 @@ def test_data_of_a_missing_recorder_are_stale(tmp_path):
     (tmp_path / FILE_NAME).unlink()
     with served(filled.settings, tmp_path) as service, service.client() as api:
         answer = get(api, "/api/v1/transducers")
-        assert answer["as_of"]["recorder"] == "silent"
+        assert answer["as_of"]["recorder"] == "not_responding"
         assert all(row["stale"] for row in answer["items"])
     filled.close()
 
