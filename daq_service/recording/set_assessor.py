@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from typing import Any
 
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
@@ -86,7 +87,7 @@ class SetAssessor:
         self.confirmations = Confirmations(settings, catalogue)
         self._archive, self._rehearsal = archive, rehearsal
         self._assessors = {position: self._restored(position) for position in settings.positions}
-        self._stored_states: dict[str, object] = {}
+        self._stored_states: dict[str, Any] = {}
         self._configuration_hash = settings.configuration_hash()
         self._reinstated = False
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
@@ -130,12 +131,12 @@ class SetAssessor:
         return self._assessor(stored.its_set.position).follow(stored)
 
     @property
-    def states(self) -> dict[str, object]:
+    def states(self) -> dict[str, Any]:
         """Return the state of each position; set it to continue from an earlier one."""
         return {position: assessor.state for position, assessor in self._assessors.items()}
 
     @states.setter
-    def states(self, states: Mapping[str, object]) -> None:
+    def states(self, states: Mapping[str, Any]) -> None:
         for position, state in states.items():
             self._assessors[position].state = state
 

@@ -87,11 +87,11 @@ def set_up_transducers(dialogue: Dialogue, instruments: Instruments, flags: Flag
         if not flags.strike:
             return
         instruments.strike_each(flags.transducers)
-    while asks and (position := _ask_position(dialogue, instruments.wired)) is not None:
-        instruments.ask_wiring(position)
-        while _strikes_or_goes_on(dialogue, position):
+    while asks and (asked_position := _ask_position(dialogue, instruments.wired)) is not None:
+        instruments.ask_wiring(asked_position)
+        while _strikes_or_goes_on(dialogue, asked_position):
             try:
-                instruments.strike(position)
+                instruments.strike(asked_position)
             except (InstrumentError, AnalysisError, BusyError) as error:
                 dialogue.report(f"  {error}")
     instruments.conclude(asks=asks)

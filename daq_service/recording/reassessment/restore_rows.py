@@ -219,9 +219,10 @@ class _Restoration:
 
     def _follow(self, transaction: Transaction) -> None:
         """Update the states with the rows of a set; add the assessments of a baseline that it completes."""
+        measured_rows: list[FeatureRow | ThicknessRow] = [*transaction.thickness, *transaction.features]
         results = {
             row.position: row
-            for row in [*transaction.thickness, *transaction.features]
+            for row in measured_rows
             if isinstance(row, ThicknessRow) or row.shot_index is None
         }
         completed: list[AssessmentRow] = []
@@ -381,11 +382,11 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
             )
         )
         if "tof_pp_s" in result:
-            values = {name: result[name] for name in ("extractor_version", "quality", "n_valid")}
-            measured_values = {name: _finite_or_none(result.get(name)) for name in measured(FeatureRow)}
-            features.append(
-                FeatureRow(**key, sequence=row["shot_id"], due_h=due_h, **values, **measured_values)
-            )
+            values: dict[str, Any] = {
+                name: result[name] for name in ("extractor_version", "quality", "n_valid")
+            }
+            values |= {name: _finite_or_none(result.get(name)) for name in measured(FeatureRow)}
+            features.append(FeatureRow(**key, sequence=row["shot_id"], due_h=due_h, **values))
     return shots, features
 
 
