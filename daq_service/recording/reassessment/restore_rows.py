@@ -219,11 +219,8 @@ class _Restoration:
 
     def _follow(self, transaction: Transaction) -> None:
         """Update the states with the rows of a set; add the assessments of a baseline that it completes."""
-        results = {
-            row.position: row
-            for row in [*transaction.thickness, *transaction.features]
-            if isinstance(row, ThicknessRow) or row.shot_index is None
-        }
+        results: dict[str, FeatureRow | ThicknessRow] = {row.position: row for row in transaction.thickness}
+        results |= {row.position: row for row in transaction.features if row.shot_index is None}
         completed: list[AssessmentRow] = []
         for row in filter(is_assessed, transaction.sets):
             followed = self._set_assessor.follow(
@@ -382,7 +379,9 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
         )
         if "tof_pp_s" in result:
             values = {name: result[name] for name in ("extractor_version", "quality", "n_valid")}
-            measured_values = {name: _finite_or_none(result.get(name)) for name in measured(FeatureRow)}
+            measured_values: dict[str, Any] = {
+                name: _finite_or_none(result.get(name)) for name in measured(FeatureRow)
+            }
             features.append(
                 FeatureRow(**key, sequence=row["shot_id"], due_h=due_h, **values, **measured_values)
             )
