@@ -53,7 +53,7 @@ from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.reassessment.changes import comparable
 from daq_service.recording.reassessment.stored_runs import Progress, Run, repeat_action, row_of, runs_of
-from daq_service.recording.set_assessor import SetAssessor
+from daq_service.recording.set_assessor import SetAssessor, without_records
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot, in_order, purpose_of
 
@@ -178,7 +178,7 @@ class _Restoration:
                 self._catalogue.restore([row_of(AnnotationRow, event, "annotation_id")])
             if event.kind in STEPS:
                 self._catalogue.restore([row_of(BaselineRow, event)])
-            repeat_action(event, self._set_assessor)
+            repeat_action(event, self._set_assessor.assessors, self._settings.positions)
 
     def _take_alarm(self, event: EventRow) -> None:
         self._set_assessor.take_stored(event)
@@ -223,7 +223,7 @@ class _Restoration:
         results |= {row.position: row for row in transaction.features if row.shot_index is None}
         completed: list[AssessmentRow] = []
         for row in filter(is_assessed, transaction.sets):
-            followed = self._set_assessor.follow(
+            followed = self._set_assessor.assessors.follow(
                 StoredResult(
                     its_set=row,
                     result=results.get(row.position),
@@ -247,7 +247,7 @@ class _Restoration:
         for position, cause in left_out.items() if of_the_plan else ():
             first = stored[0]
             due = DueSet(set_index=first.set_index, due_h=first.due_h, due_utc_ns=first.due_utc_ns)
-            retired = self._set_assessor.without_records(due, position, retired=True, cause=cause)
+            retired = without_records(self._settings, due, position, retired=True, cause=cause)
             rows.setdefault(position, retired)
         digests = self._history.digests
         rows = {name: replace(row, file_sha256=digests.get(row.file or "")) for name, row in rows.items()}
@@ -274,7 +274,7 @@ class _Restoration:
         due = due_of(record)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         sha256 = self._digest(reference)
-        states = self._set_assessor.states
+        states = self._set_assessor.assessors.states
         transaction = self._set_assessor.assessed(due, record, reference, features, sha256=sha256)
         if record.results and not damage:
             again = results_of(transaction.features, transaction.thickness, transaction.shots)
@@ -287,7 +287,7 @@ class _Restoration:
                 self._result.differing += _differences(computed, events)
             _with_stored_rows(transaction, events, all_rows=bool(damage))
             if damage:  # the state follows the stored rows, which are of all records
-                self._set_assessor.states = states
+                self._set_assessor.assessors.states = states
                 self._follow(transaction)
         self._commit(transaction, self._placed(computed, events, free), computed_alarms=not events)
         self._result.sets += 1
@@ -314,7 +314,7 @@ class _Restoration:
             self._alarms |= {row.id or 0: row for row in self._set_assessor.alarms.values()}
             return
         transaction.alarms, transaction.events, transaction.alarm_of_event = [], list(events), {}
-        self._set_assessor.add_states(transaction)
+        transaction.states |= self._set_assessor.assessors.changed_states()
         self._catalogue.commit_set(transaction)
         self._set_assessor.confirmations.take_rows(transaction)
         for event in events:

@@ -9,10 +9,10 @@ import orjson
 
 from daq_service.cli.offline.evidence.alarm_page import facts_of, page_of, recomputation_text, title_of
 from daq_service.cli.terminal import print_progress_of_sets
-from daq_service.errors import StorageUnavailableError, UsageError
+from daq_service.errors import UsageError
 from daq_service.processes.data_folder import new_folder
 from daq_service.recording.reassessment.explanation import explained
-from daq_service.shared_file import write_durably
+from daq_service.shared_file import write_output
 
 
 def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
@@ -38,14 +38,8 @@ def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: b
     facts = orjson.dumps(
         {**facts_of(found), "files": [str(page), str(facts_file)]}, option=orjson.OPT_SERIALIZE_NUMPY
     )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for path, content in ((page, page_of(found, pictures_of(found))), (facts_file, facts)):
-            write_durably(path, content, temporary=path.with_name(f"{path.name}.part"))
-    except OSError as error:
-        raise StorageUnavailableError(
-            f"{folder} cannot be written: {error}; free or mend the disk"
-        ) from error
+    write_output(page, page_of(found, pictures_of(found)))
+    write_output(facts_file, facts)
     if as_json:
         click.echo(facts.decode())
         return
