@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -17,14 +18,14 @@ from daq_service.errors import EXIT_OK
 class _Positive(click.FloatRange):
     """Positive finite number: a range alone accepts infinity and NaN."""
 
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> object:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no finite number.", param, ctx)
         return number
 
 
-Decorator = Callable[[object], object]
+Decorator = Callable[[Any], Any]
 option, argument, Choice, IntRange = click.option, click.argument, click.Choice, click.IntRange
 
 PATH = click.Path(path_type=Path)
