@@ -349,6 +349,18 @@ class TrendBlockRow(Row):
     block: bytes
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssessorStateRow(Row):
+    """Part of the state of a position's assessor after its newest set (`assessment.stored_state`)."""
+
+    place: str  # position and part
+    position: str
+    baseline_id: int | None  # of the baseline that the state belongs to; None for a probe
+    configuration_hash: str  # of the settings that it was computed with
+    format: int
+    state: str  # JSON
+
+
 MEASURED_BY: Mapping[Method, type[FeatureRow] | type[ThicknessRow]] = MappingProxyType(
     {SOLITARY_WAVE: FeatureRow, PULSE_ECHO: ThicknessRow}
 )

@@ -158,6 +158,7 @@ commands = _table("commands", rows.CommandRow, autoincrement=True)
 _index(commands, "state")
 counts = _table("counts", rows.CountsRow)
 trend_blocks = _table("trend_blocks", rows.TrendBlockRow)
+assessor_states = _table("assessor_states", rows.AssessorStateRow)
 
 KINDS = tuple(_TABLES)
 """Kinds of rows; a referenced kind comes before the referring one."""

@@ -34,6 +34,11 @@ MOST_HELD_LINES = 10_000
 """Maximum number of waiting lines; later ones are dropped while a terminal is blocked."""
 
 
+def print_progress_of_sets(done: int, total: int) -> None:
+    """Print the progress of a reassessment to standard error."""
+    click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)
+
+
 def console_on(stream: Literal["stdout", "stderr"]) -> Console:
     """Return rich's console: colour only on a terminal and without ``NO_COLOR``; it invents no highlights."""
     from rich.console import Console

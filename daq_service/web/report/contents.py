@@ -181,6 +181,7 @@ def read_contents(
             )
             for name in settings.positions
         ]
+        features = [summary.last_feature for summary in summaries.values() if summary.last_feature]
         files = {row.file: row.file_sha256 or "" for rows in sets.values() for row in rows if row.file}
         file_list = "".join(f"{file} {sha256}\n" for file, sha256 in sorted(files.items()))
         alarms = [
@@ -203,13 +204,7 @@ def read_contents(
             rig_identity={} if started is None else started.payload.get("rig_identity", {}),
             n_files=len(files),
             files_sha256=hashlib.sha256(file_list.encode()).hexdigest(),
-            extractors=sorted(
-                {
-                    summary.last_feature.extractor_version
-                    for summary in summaries.values()
-                    if summary.last_feature
-                }
-            ),
+            extractors=sorted({feature.extractor_version for feature in features}),
             positions=positions,
             gaps=[gap for name in settings.positions for gap in _gaps(sets[name])],
             baselines=catalogue.baselines_by_id(),

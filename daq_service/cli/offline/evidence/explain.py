@@ -8,10 +8,10 @@ import click
 import orjson
 
 from daq_service.cli.offline.evidence.alarm_page import facts_of, page_of, recomputation_text, title_of
-from daq_service.cli.offline.evidence.explanation import explained
-from daq_service.cli.offline.evidence.reassess import printed_progress
+from daq_service.cli.terminal import print_progress_of_sets
 from daq_service.errors import UsageError
 from daq_service.processes.data_folder import new_folder
+from daq_service.recording.reassessment.explanation import explained
 from daq_service.shared_file import write_output
 
 
@@ -31,7 +31,7 @@ def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: b
     page, facts_file = (folder / f"alarm-{alarm_id}.{ending}" for ending in ("html", "json"))
     if existing := [path for path in (page, facts_file) if path.exists() and not overwrite]:
         raise UsageError(f"{existing[0]} exists; choose another --out, or replace it with --overwrite")
-    found = explained(data_dir, alarm_id, printed_progress)
+    found = explained(data_dir, alarm_id, print_progress_of_sets)
     # Brings matplotlib along, which the rest does not need.
     from daq_service.cli.offline.evidence.figures import pictures_of
 
