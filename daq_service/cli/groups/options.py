@@ -18,7 +18,7 @@ from daq_service.errors import EXIT_OK
 class _Positive(click.FloatRange):
     """Positive finite number: a range alone accepts infinity and NaN."""
 
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Any:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no finite number.", param, ctx)
