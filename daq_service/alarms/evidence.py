@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
+from typing import Any
 
 from daq_service.catalogue.rows import AlarmRow, BaselineRow
 from daq_service.clock import format_utc
 
-Evidence = Mapping[str, object]
+Evidence = Mapping[str, Any]
 
 FEATURES: Mapping[str, str] = {
     "tof_pp_s": "time of flight between the peaks",
@@ -58,7 +59,7 @@ def describe_evidence(kind: str, evidence: Evidence) -> list[str]:
     return list(_OF_KIND.get(kind, _supply)(evidence))
 
 
-def baseline_doubts(baseline_quality: Mapping[str, object] | None) -> list[str]:
+def baseline_doubts(baseline_quality: Mapping[str, Any] | None) -> list[str]:
     """Describe the anomalies of a baseline (`assessment.baseline_quality`)."""
     return [
         {
@@ -251,7 +252,7 @@ _OF_KIND: Mapping[str, Callable[[Evidence], Iterator[str]]] = {
 """Functions by kind of alarm; all other kinds have the evidence of the supply, or none."""
 
 
-def _values(evidence: Evidence, *names: str) -> list[object]:
+def _values(evidence: Evidence, *names: str) -> list[Any]:
     """Return the values of these keys; an empty list if one is missing."""
     values = [evidence.get(name) for name in names]
     return [] if None in values else values
