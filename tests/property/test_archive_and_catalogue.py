@@ -79,7 +79,7 @@ def impossible():
         raised_h=0.0,
         changed_utc_ns=0,
         message="never raised",
-        proof={},
+        evidence={},
     )
     return {"alarms": [alarm]}
 
