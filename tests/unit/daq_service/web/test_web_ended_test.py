@@ -150,6 +150,6 @@ def test_alarms_are_filtered_by_state_severity_kind_and_hour(ended):
         return [row["id"] for row in api.get(f"/api/v1/alarms?{query}").json()["items"]]
 
     assert found("") == [1, 2]
-    assert found("state=acknowledged") == found("priority=low") == found("kind=no_data") == [2]
+    assert found("state=acknowledged") == found("priority=low") == found("kind=few_valid_shots") == [2]
     assert found("from_h=0.9") == found("priority=high&position=B") == [1]
     assert found("from_h=0.5&to_h=1.0") == [2]
