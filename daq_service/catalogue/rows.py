@@ -318,7 +318,7 @@ class CommandRow(Row):
     id: int
     wall_utc_ns: int
     author: str
-    kind: str  # "finish_now", "stop", "hold", "retire", ...
+    kind: str  # "finish_now", "stop", "pause", "disable", ...
     arguments: dict[str, Any]
     state: CommandState
     result: str | None = None

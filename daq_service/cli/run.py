@@ -239,7 +239,7 @@ def _print_acknowledgement(shot_id: int) -> None:
 
 def start_drive(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
     """Start the supply process so that it outlives this one, with the present settings."""
-    command = [*PROGRAM, "drive", "--data-dir", str(folder), "--for-recorder"]
+    command = [*PROGRAM, "supply-process", "--data-dir", str(folder), "--for-recorder"]
     return start_detached(command, settings.model_dump_json().encode())
 
 
@@ -296,7 +296,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
         prepare_data_folder(folder)
     parameters = settings.rig.driven
     if parameters is None:
-        raise UsageError("this configuration has no supply; there is nothing to drive without [rig.supply]")
+        raise UsageError("this configuration has no supply; add the table [rig.supply]")
     with log_in_thread(folder / "logs" / "drive.log"), stop_on_signals() as stop:
         try:
             was_left = run_supply_process(

@@ -11,14 +11,14 @@ from daq_service.commands.baselines import ApproveBaseline, RenewBaseline
 from daq_service.commands.kinds import (
     AcknowledgeAlarm,
     Annotate,
-    Confirm,
+    Disable,
+    Enable,
     FinishNow,
-    Hold,
     Order,
-    Reinstate,
-    Release,
-    Retire,
+    Pause,
+    Resume,
     Stop,
+    Strike,
     SupplyOff,
     SupplyOn,
     TrustClock,
@@ -31,12 +31,12 @@ AnyOrder = Annotated[
     FinishNow
     | Stop
     | AcknowledgeAlarm
-    | Hold
-    | Release
+    | Pause
+    | Resume
     | TrustClock
-    | Retire
-    | Reinstate
-    | Confirm
+    | Disable
+    | Enable
+    | Strike
     | SupplyOn
     | SupplyOff
     | Annotate

@@ -75,10 +75,14 @@ def answered(filled, author="ann"):
             ("stop", {}),
         ),
         pytest.param(
-            "Retire C",
-            ["Position C strikes no more", "No sets will come from it", "press Reinstate beside its notice"],
-            "Retire C",
-            ("retire", {"position": "C", "note": ""}),
+            "Disable C",
+            [
+                "Position C is not struck from its next shot on",
+                "No sets will come from it",
+                "press Enable next to its notice",
+            ],
+            "Disable C",
+            ("disable", {"position": "C", "note": ""}),
             marks=pytest.mark.slow,
         ),
         (
@@ -205,7 +209,7 @@ def test_the_supply_values_are_limited_by_the_caps_and_shown_on_the_button(fille
 
 def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
     page = open_page(service.url, name=None)
-    hold, dialog = page.get_by_role("button", name="Hold", exact=True), page.get_by_role("dialog")
+    hold, dialog = page.get_by_role("button", name="Pause", exact=True), page.get_by_role("dialog")
     for name in (None, "Ben B"):
         hold.click()
         dialog.get_by_label("Reason").fill("hands in the rig")
@@ -219,14 +223,14 @@ def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
             page.keyboard.type(name)
             page.keyboard.press("Enter")
     expect(page.locator("#pause")).to_contain_text("Sent")
-    assert answered(filled, "Ben B") == ("hold", {"note": "hands in the rig"})
+    assert answered(filled, "Ben B") == ("pause", {"note": "hands in the rig"})
     expect(page.get_by_role("button", name="Ben B (claimed)")).to_be_visible()
     page.reload()
-    page.get_by_role("button", name="Hold", exact=True).click()
+    page.get_by_role("button", name="Pause", exact=True).click()
     dialog.get_by_label("Reason").fill("again")
     page.keyboard.press("Enter")
     expect(page.locator("#pause")).to_contain_text("Sent")
-    assert answered(filled, "Ben B") == ("hold", {"note": "again"})
+    assert answered(filled, "Ben B") == ("pause", {"note": "again"})
     page.get_by_role("button", name="Ben B (claimed)").click()
     dialog.get_by_label("Name").fill("Cleo")
     page.keyboard.press("Enter")

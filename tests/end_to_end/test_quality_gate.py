@@ -216,7 +216,7 @@ def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(tmp_path: Path) ->
 def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path: Path, late: bool) -> None:
     """Heard while the set is awaited, or when its first record is."""
     disturb, _ = lost_during(range(1, 2), "B", 4, ConnectionLostError)
-    rig = ordering_rig(tmp_path, [(1.5, "hold", {"note": "why"})], disturb, late=late)
+    rig = ordering_rig(tmp_path, [(1.5, "pause", {"note": "why"})], disturb, late=late)
     assert run(only("AB", small_settings(schedule=FOUR_SHOTS)), tmp_path, rig=rig)
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4
     assert alarms_of(tmp_path)[None, "rig_unavailable"].state == "unacknowledged"
@@ -224,7 +224,7 @@ def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path: Path, late: bool
 
 def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_path: Path) -> None:
     """The gate grants a repetition, and a hold comes before it: it was never made."""
-    orders: list[Order] = [(1.0 + 4 / 3600, "hold", {"note": "door open"})]
+    orders: list[Order] = [(1.0 + 4 / 3600, "pause", {"note": "door open"})]
     settings = only("B", two_hours())
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders, silent("B", from_set=1)))
     row = sets_of(tmp_path, "B")[1]

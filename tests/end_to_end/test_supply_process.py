@@ -427,7 +427,15 @@ def test_the_supply_of_a_mixed_rig_is_switched_off_after_a_kill(test: Test) -> N
 def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test: Test) -> None:
     prepare_data_folder(test.folder)
     config = write_configuration(test.settings(), test.folder)
-    command = [sys.executable, "-m", "daq_service.cli", "drive", str(config), "--data-dir", str(test.folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "daq_service.cli",
+        "supply-process",
+        str(config),
+        "--data-dir",
+        str(test.folder),
+    ]
     test.instruments.supply_link.do(lambda: test.instruments.supply.press_output_key(True))
     with notify_socket(test.folder.parent) as (manager, heard):
         environment = {**os.environ, **manager}
@@ -478,7 +486,14 @@ def test_a_disk_that_hangs_does_not_delay_the_interlock(test: Test) -> None:
 
 
 def test_a_test_without_a_supply_has_no_supply_process(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "daq_service.cli", "drive", "--data-dir", str(tmp_path / "data")]
+    command = [
+        sys.executable,
+        "-m",
+        "daq_service.cli",
+        "supply-process",
+        "--data-dir",
+        str(tmp_path / "data"),
+    ]
     refused = subprocess.run(command, capture_output=True, text=True, check=False)
     assert refused.returncode == 2
     assert "[rig.supply]" in refused.stderr

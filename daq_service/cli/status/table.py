@@ -83,7 +83,7 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
             read = f"{air['temperature_c']:.1f} °C, {100.0 * air['relative_humidity']:.0f} %"
         yield "climate", f"{read} ({quality})", "" if quality == "good" else "yellow"
     if facts["held"]:
-        yield "on hold", f"{facts['held']}; nothing strikes until it is released", "yellow"
+        yield "paused", f"{facts['held']}; nothing strikes until it is resumed", "yellow"
     for order in facts["orders"]:
         wanted = f"{order['kind']} by {order['author']}"
         remaining = f", expires in {duration(order['expires_in_s'])}" if order["state"] == "pending" else ""

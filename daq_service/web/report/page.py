@@ -148,7 +148,7 @@ def _alarm_rule_rows(settings: Settings) -> list[Row]:
 
 def _state_table(contents: Contents) -> list[str]:
     pause_note = (
-        [] if contents.held is None else [f"<p><strong>On hold: {escape(contents.held)}.</strong></p>"]
+        [] if contents.held is None else [f"<p><strong>Paused: {escape(contents.held)}.</strong></p>"]
     )
     written = (
         "nothing is stored" if contents.wall_age_s is None else f"{contents.wall_age_s:.0f} s before this"

@@ -25,7 +25,7 @@ router = APIRouter(tags=["audit"])
 AUDITED_OPERATIONS = sorted({*OPERATIONS, *ORDERS, "enter"})
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 Who = Annotated[str | None, Query(max_length=80, description="Only of this name")]
-What = Annotated[str | None, Query(max_length=600, description="Only these, comma-separated: hold,release")]
+What = Annotated[str | None, Query(max_length=600, description="Only these, comma-separated: pause,resume")]
 WithResult = Annotated[Result | None, Query(description="Only with this result")]
 RFC_3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
 

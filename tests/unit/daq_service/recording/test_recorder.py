@@ -575,7 +575,7 @@ def test_an_open_set_whose_time_is_over_keeps_its_records(line):
 
 def test_a_pause_after_a_restart_keeps_the_records_of_an_open_set(line):
     archive = stop_in_set(line, ShotKey(position="C", set_index=1, shot_index=1))
-    line.order("hold", note="hands in the rig")
+    line.order("pause", note="hands in the rig")
     line.listen_every_s = 0.0
     assert line.run(archive=archive)
     assert [states(line, position)[1] for position in "ABCD"] == ["done", "done", "partial", "missed"]
@@ -660,7 +660,7 @@ def send_at(line, key, kind, **arguments):
 
 
 def test_a_pause_ends_the_running_set(line):
-    send_at(line, ShotKey(position="C", set_index=1, shot_index=1), "hold", note="hands in the rig")
+    send_at(line, ShotKey(position="C", set_index=1, shot_index=1), "pause", note="hands in the rig")
     line.run()
     assert line.instruments[0].struck[-1] == ("C", 1, 1, 0)
     assert states(line, "C")[:3] == ["done", "partial", "missed"]
@@ -668,14 +668,14 @@ def test_a_pause_ends_the_running_set(line):
 
 
 def test_a_transducer_disabled_during_a_set_is_not_struck_again(line):
-    send_at(line, ShotKey(position="B", set_index=1, shot_index=1), "retire", position="C")
+    send_at(line, ShotKey(position="B", set_index=1, shot_index=1), "disable", position="C")
     line.run()
     assert {strike[:2] for strike in line.instruments[0].struck if strike[1] == 1} == {("B", 1), ("D", 1)}
     assert states(line, "C")[:3] == ["done", "missed", "retired"]
 
 
 def test_a_pause_misses_sets_with_its_reason_also_after_a_restart(line):
-    line.order("hold", note="hands in the rig")
+    line.order("pause", note="hands in the rig")
     assert line.run()
     assert line.instruments[0].struck == []
     assert (
@@ -686,7 +686,7 @@ def test_a_pause_misses_sets_with_its_reason_also_after_a_restart(line):
 
 
 def test_a_disabled_transducer_is_not_struck_and_the_others_are(line):
-    line.order("retire", position="C")
+    line.order("disable", position="C")
     line.run()
     assert {strike[0] for strike in line.instruments[0].struck} == {"B", "D"}
     assert states(line, "C") == ["retired"] * SETS
