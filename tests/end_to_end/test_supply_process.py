@@ -39,6 +39,7 @@ from daq_service.processes.data_folder import (
     write_configuration,
 )
 from daq_service.processes.heartbeat import read_heartbeat
+from daq_service.recording.resources import Host, SessionOptions
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.instruments import with_defaults
@@ -165,9 +166,8 @@ class Test:
                 rig,
                 stop=stop or threading.Event(),
                 report=notify,
-                listen_every_s=0.0,
-                wall_clock=wall_clock or SteppedClock().start,
-                remote_drive=drive,
+                options=SessionOptions(remote_drive=drive),
+                host=Host(listen_every_s=0.0, wall_clock=wall_clock or SteppedClock().start),
             )
 
     @contextmanager

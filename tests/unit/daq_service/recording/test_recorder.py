@@ -8,12 +8,14 @@ from support.memory_archive import MemoryArchive
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
 
 from daq_service.archive import ArchiveWriteError
+from daq_service.background.disk_watch import DiskWatch
+from daq_service.background.task import BackgroundTask
 from daq_service.background.write_retry_queue import WriteRetryQueue
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueBusyError
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.errors import RigError
-from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch
+from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.settings.tree import StorageSettings
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ShotKey
@@ -152,15 +154,15 @@ def test_in_real_time_sets_are_struck_on_and_stored_later(line, undisturbed):
 def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
     line.settings = memory_settings(clock={"kind": "wall"})
     monkeypatch.setattr(WriteRetryQueue, "has_room", property(lambda backlog: len(backlog) < 2))
-    disk, work = FullDisk(line, 3, 10**9), WriteRetryQueue.work
+    disk, work = FullDisk(line, 3, 10**9), WriteRetryQueue.run_for
 
-    def freed(backlog):
+    def freed(backlog, seconds):
         """Work, and free the disk when two sets and three gaps wait."""
         if len(backlog) >= 5:
             disk.left = 0
-        work(backlog)
+        work(backlog, seconds)
 
-    monkeypatch.setattr(WriteRetryQueue, "work", freed)
+    monkeypatch.setattr(WriteRetryQueue, "run_for", freed)
     assert line.run(archive=disk, mono_s=Seconds(100.0))  # each poll is late enough for another try
     assert states(line, "B") == ["done"] * 5 + ["missed"] * 3 + ["done"] * (SETS - 8)
     assert causes(line, "B")[5] == "the memory for what waits is full: No space left on device"
@@ -227,7 +229,7 @@ def test_a_stop_does_not_wait_for_the_disk(line, caplog):
     assert "jobs are lost that no disk took" in caplog.text
 
 
-class SlowWorker:
+class SlowWorker(BackgroundTask):
     """Worker that finishes a set at every fourth poll."""
 
     trouble, damaged = "", {}
@@ -239,19 +241,19 @@ class SlowWorker:
     def waits(self):
         return self.n_under_way > 0
 
-    def put(self, set_index):
+    def after_set(self, set_index):
         self.n_under_way += 1
         self.most = max(self.most, self.n_under_way)
 
-    def work(self):
+    def run_for(self, seconds=0.0):
         self.looks += 1
         self.n_under_way -= self.looks % 4 == 0 and self.n_under_way > 0
 
-    try_again = work
+    try_again = run_for
 
 
 def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
-    monkeypatch.setattr("daq_service.recording.persistence.MOST_UNDER_WAY", 2)
+    monkeypatch.setattr("daq_service.recording.waiting.MOST_UNDER_WAY", 2)
     worker = SlowWorker()
     assert line.run(archive=MemoryArchive(line.shelf), compaction=worker)
     assert (worker.most, worker.n_under_way) == (3, 0)
