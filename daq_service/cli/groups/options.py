@@ -70,7 +70,7 @@ def executor(text: str) -> Decorator:
     return option("--executor", metavar="processes|threads|dask://HOST", help=text)
 
 
-def call(target: str, **options: object) -> int:
+def call(target: str, **options: Any) -> int:
     """Import the function ``MODULE:NAME`` of the command line and return its exit code."""
     module, _, function = target.partition(":")
     return getattr(import_module(f"daq_service.cli.{module}"), function)(**options) or EXIT_OK
