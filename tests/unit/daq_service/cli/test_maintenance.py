@@ -108,7 +108,9 @@ def test_each_corruption_is_reported_with_exit_code_4(folder):
         ("set_touched", FILES[1], None),
         ("set_missing", FILES[2], None),
     }
-    assert all(item["kind"] in KINDS and "repair --from BACKUP" in item["told"] for item in answer["damage"])
+    assert all(
+        item["kind"] in KINDS and "repair --from BACKUP" in item["description"] for item in answer["damage"]
+    )
     assert state_of(folder) == before
 
 
@@ -230,8 +232,8 @@ def test_a_changed_or_missing_line_of_a_log_is_corruption(
     assert code == 4
     (damage,) = answer["damage"]
     assert (damage["kind"], damage["file"]) == (kind, file)
-    assert message in damage["told"]
-    assert remedy in damage["told"]
+    assert message in damage["description"]
+    assert remedy in damage["description"]
 
 
 def end_of_history(folder, *, lines):
@@ -250,7 +252,7 @@ def test_a_history_shorter_than_the_catalogue_is_corruption_until_the_next_start
     assert code == 4
     (damage,) = answer["damage"]
     assert (damage["kind"], damage["file"]) == ("history", "history.jsonl")
-    assert "history.jsonl ends before events" in damage["told"]
+    assert "history.jsonl ends before events" in damage["description"]
     assert run(small_settings(schedule={"end_h": (SETS + 1) * 0.5}), folder)
     assert kinds(folder) == []
 

@@ -37,7 +37,7 @@ def test_a_test_message_is_sent_and_its_result_reported(config, receiver, capsys
     receiver.answers.put((503, {}))
     assert run_test(config=config, receiver="duty", as_json=True) == EXIT_NOT_MET
     result = json.loads(capsys.readouterr().out)["receivers"]["duty"]
-    assert result == {"ok": False, "told": "the receiver answers 503 Service Unavailable", "status": 503}
+    assert result == {"ok": False, "result": "the receiver answers 503 Service Unavailable", "status": 503}
 
 
 def test_an_unknown_receiver_is_rejected(config):

@@ -107,14 +107,14 @@ def test_a_diagnosis_other_than_ok_has_its_own_line(filled: FilledFolder) -> Non
     experiment_text = {"sentence": "the wave has changed", "action": "inspect"}
     for name, cause, probability in (("B", "wall", 0.97), ("C", "undetermined", 0.98), ("D", "ok", 0.9)):
         facts["positions"][name]["last_assessment"] |= {
-            "cause": cause,
+            "diagnosis": cause,
             "diagnosis_probability": probability,
             "diagnosis_details": experiment_text,
         }
     lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("verdict")]
     assert lines == [
         f"verdict  B, set {SETS - 1}: WALL (97 %): the wave has changed; inspect",
-        f"verdict  C, set {SETS - 1}: CANNOT TELL: the wave has changed; inspect",
+        f"verdict  C, set {SETS - 1}: UNDETERMINED: the wave has changed; inspect",
     ]
 
 
