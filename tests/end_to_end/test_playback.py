@@ -20,7 +20,7 @@ from hardware_drivers.measurement import PLANNED_SETS, PulseEchoRecord
 
 END_H, SHORT_H, LAST = 8.0, 1.5, 15
 """After the baseline of 7.5 h there are assessments; what concerns single shots is seen in less."""
-FEATURES = ("set_features", "shot_features", "thickness", "verdicts", "baselines", "alarms")
+FEATURES = ("set_features", "shot_features", "thickness", "assessments", "baselines", "alarms")
 
 
 def small_settings(**tables: Any) -> Settings:
@@ -63,7 +63,7 @@ def test_an_archive_played_back_is_the_same_test_to_the_last_bit(recording, tmp_
     assert_same_sets(tmp_path, recording)
     rows = rows_of(tmp_path)
     assert rows == rows_of(recording)
-    assert len(rows["verdicts"]) > 0
+    assert len(rows["assessments"]) > 0
     found = read_set(set_files(tmp_path)[0])
     assert found.rig_kind == "playback"
     assert found.provenance["rig_identity"]["recording"] == str(recording)
@@ -84,7 +84,7 @@ def test_a_playback_cut_short_goes_on_where_it_ended(recording, tmp_path):
     )
     assert "the recording has no attempt 0 at shot 0" in unscheduled.cause
     assert rows | {"sets": [row for row in rows["sets"] if row is not unscheduled]} == recorded
-    assert [row.outlier for row in recorded["verdicts"] if row.set_index == LAST] == [True, False]
+    assert [row.outlier for row in recorded["assessments"] if row.set_index == LAST] == [True, False]
     assert recorded["alarms"] == []
 
 

@@ -64,15 +64,15 @@ _STORED_ROWS: Mapping[str, type[Row]] = {
     "set_done": SetRow,
     "set_partial": SetRow,
     "set_missed": SetRow,
-    "set_retired": SetRow,
+    "set_disabled": SetRow,
     "set_features": FeatureRow,
     "thickness_read": ThicknessRow,
     "baseline_frozen": BaselineRow,
-    "set_judged": AssessmentRow,
+    "set_assessed": AssessmentRow,
     "environment_read": EnvironmentRow,
 }
 """Kinds of events that hold a complete row."""
-_COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_judged")
+_COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_assessed")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
