@@ -139,6 +139,15 @@ class SetRecord:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SetTables:
+    """Tables of a set's file, each as rows: of its records (``shots``), and the results of each kind."""
+
+    set_index: int
+    shots: Sequence[Mapping[str, Any]]
+    results: Mapping[str, Sequence[Mapping[str, Any]]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class OpenSet:
     """Durable part of a set that a crash or a stop interrupted.
 

@@ -240,7 +240,7 @@ class AssessmentRow(Row):
     ] = None
     cause_probability: Annotated[float | None, "Of that cause, or of the likeliest"] = None
     cause_told: Annotated[
-        dict[str, Any] | None,
+        dict[str, object] | None,
         "Sentence and action for operators, probability of every cause and of a step, relative changes",
     ] = None
     confirms: Annotated[
@@ -349,6 +349,18 @@ class TrendBlockRow(Row):
     block: bytes
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssessorStateRow(Row):
+    """Part of the state of a position's assessor after its newest set (`assessment.stored_state`)."""
+
+    place: str  # position and part
+    position: str
+    baseline_id: int | None  # of the baseline that the state belongs to; None for a probe
+    configuration_hash: str  # of the settings that it was computed with
+    format: int
+    state: str  # JSON
+
+
 MEASURED_BY: Mapping[Method, type[FeatureRow] | type[ThicknessRow]] = MappingProxyType(
     {SOLITARY_WAVE: FeatureRow, PULSE_ECHO: ThicknessRow}
 )
@@ -388,7 +400,7 @@ def values(row: Row) -> dict[str, Any]:
     return {name: getattr(row, name) for name in row.__slots__}
 
 
-def payload_of(row: Row, *, last: str = "") -> dict[str, Any]:
+def payload_of(row: Row, *, last: str = "") -> dict[str, object]:
     """Return the row as payload of its event: without a missing id, column ``last`` at the end."""
     columns = {name: value for name, value in values(row).items() if name != "id" or value is not None}
     return {name: columns[name] for name in sorted(columns, key=last.__eq__)}

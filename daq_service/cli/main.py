@@ -11,7 +11,6 @@ import traceback
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -30,7 +29,7 @@ from daq_service.settings.foreign_text import plain_output
 class _CommandGroup(click.Group):
     """Group that imports the options of a command when it is used, and shows sections."""
 
-    def invoke(self, ctx: click.Context) -> Any:
+    def invoke(self, ctx: click.Context) -> object:
         """Run a command and exit with its code; a library that ends the process is an error."""
         try:
             ctx.exit(super().invoke(ctx) or 0)

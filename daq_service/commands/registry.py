@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, get_args
+from typing import Annotated, get_args
 
 from pydantic import Field, ValidationError
 
@@ -54,7 +54,7 @@ KINDS: Mapping[str, type[Order]] = {
 }
 
 
-def parse_command(kind: str, author: str, arguments: Mapping[str, Any]) -> Order:
+def parse_command(kind: str, author: str, arguments: Mapping[str, object]) -> Order:
     """Parse and validate a command that does not come as JSON from the web service.
 
     Raises

@@ -23,12 +23,13 @@ from daq_service.alarms.states import (
     update,
 )
 from daq_service.archive import SetReader, SetRecord
-from daq_service.assessment.assessor import Assessor, PositionResult
+from daq_service.assessment.assessor import Assessor, PositionResult, StoredResult
 from daq_service.assessment.confirmation import summarize_confirmation
 from daq_service.assessment.methods import METHODS
+from daq_service.assessment.stored_state import state_rows
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.recording.confirmations import Alarms, Confirmations
@@ -85,6 +86,9 @@ class SetAssessor:
         self.confirmations = Confirmations(settings, catalogue)
         self._archive, self._rehearsal = archive, rehearsal
         self._assessors = {position: self._restored(position) for position in settings.positions}
+        self._stored_states: dict[str, object] = {}
+        self._configuration_hash = settings.configuration_hash()
+        self._reinstated = False
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self._delayed_since_ns: dict[tuple[str | None, str], int | None] = {}
         for event in catalogue.rows(EventRow, topic="alarms", kind=DELAY_EVENT):
@@ -115,10 +119,30 @@ class SetAssessor:
     def reinstated(self, position: str) -> None:
         """Reset the reason why a transducer was disabled: a person has enabled it."""
         self._assessor(position).reinstate()
+        self._reinstated = True
+
+    def knows(self, position: str | None) -> bool:
+        """Return whether a position belongs to the test."""
+        return position in self._settings.positions
+
+    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
+        """Update the state with a set by its rows (`Assessor.follow`)."""
+        return self._assessor(stored.its_set.position).follow(stored)
+
+    @property
+    def states(self) -> dict[str, object]:
+        """Return the state of each position; set it to continue from an earlier one."""
+        return {position: assessor.state for position, assessor in self._assessors.items()}
+
+    @states.setter
+    def states(self, states: Mapping[str, object]) -> None:
+        for position, state in states.items():
+            self._assessors[position].state = state
 
     def renewed(self, position: str) -> None:
         """Judge by what is stored from the next set on: a person has begun another baseline."""
         self._assessors.pop(position, None)
+        self._stored_states.pop(position, None)
 
     def _restored(self, position: str) -> Assessor:
         method = METHODS[self._settings.positions[position].method]
@@ -276,11 +300,30 @@ class SetAssessor:
         if transaction is self._uncommitted and indices <= self._catalogue.committed_sets(indices):
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             return
+        # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
+        if indices or (self._reinstated and self._uncommitted is None):
+            self.add_states(transaction)
         self._uncommitted = transaction if indices else self._uncommitted
         with self._cost.of("commit_s"):
             committed = self._catalogue.commit_set(transaction)
+        self._uncommitted = None if transaction is self._uncommitted else self._uncommitted
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
+
+    def add_states(self, transaction: Transaction) -> None:
+        """Add the states of the assessors that have changed."""
+        for position, assessor in self._assessors.items():
+            before, after = self._stored_states.get(position), assessor.state
+            for row in state_rows(
+                before,
+                after,
+                position=position,
+                baseline_id=assessor.baseline_id,
+                configuration_hash=self._configuration_hash,
+            ):
+                transaction.states[row.place] = row
+            self._stored_states[position] = after
+        self._reinstated = False
 
     def publish(self, transaction: Transaction) -> None:
         """Take over what was stored, and report its alarms and gaps."""

@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 FILLED_AT_MOST = 0.99
 """Of the time from set to set by strikes: a set that fills all of it begins later each time, until one is
 missed."""
-HASHED_OUT: Mapping[str, Any] = {
+HASHED_OUT: Mapping[str, object] = {
     "web": True,
     "notifications": True,
     "clock": {"pace_h_per_s", "doubt_after_h"},
@@ -479,7 +479,7 @@ class Settings(BaseSettings):
         return [name for name, place in self.positions.items() if place.method == method]
 
 
-def _with_inherited_tables(place: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+def _with_inherited_tables(place: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
     filled = dict(place)
     for table in ("chain", "plate", "corrosion"):
         above, own = common.get(table, {}), filled.get(table, {})
@@ -488,6 +488,6 @@ def _with_inherited_tables(place: Mapping[str, Any], common: Mapping[str, Any]) 
     return filled
 
 
-def _position_values(place: PositionSettings) -> dict[str, Any]:
+def _position_values(place: PositionSettings) -> dict[str, object]:
     """Return a position as in a file, with only the values that differ from the defaults."""
     return {"method": place.method, "label": place.label, "corrosion": {"size_m": place.corrosion.size_m}}

@@ -255,7 +255,7 @@ def test_commands_are_sent_from_another_terminal(watched: Demo) -> None:
     assert json.loads(order("status", "--json")[1])["held"] == "held by ann: door open"
     code, text = order("pause")
     assert code == 2
-    assert "a hold needs a reason, for whoever finds it: --reason 'hands in the rig'" in text
+    assert "a pause needs a reason, which everybody sees: --reason 'hands in the rig'" in text
     code, text = order("pause", "--reason", "door still open")
     assert code == 2
     assert "already paused: held by ann: door open" in text

@@ -8,10 +8,9 @@ from pathlib import Path
 import click
 
 from daq_service.cli.maintenance.export import refuse_target
-from daq_service.errors import StorageUnavailableError
 from daq_service.processes.data_folder import data_folder
 from daq_service.settings.file import load_settings
-from daq_service.shared_file import write_durably
+from daq_service.shared_file import write_output
 from daq_service.web.report.make import report_page
 
 
@@ -37,12 +36,7 @@ def write_report(
     target = out or Path(f"report_{folder.name}.html")
     refuse_target(folder, target, overwrite=overwrite)
     content = report_page(folder, from_h=from_h, to_h=to_h, audited=True)
-    try:
-        write_durably(target, content, temporary=target.with_name(f"{target.name}.part"))
-    except OSError as error:
-        raise StorageUnavailableError(
-            f"{target} cannot be written: {error}; free or mend the disk"
-        ) from error
+    write_output(target, content)
     if as_json:
         click.echo(json.dumps({"ok": True, "file": str(target), "n_bytes": len(content)}))
     else:

@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -24,7 +23,7 @@ from daq_service.cli.reproduce.experiment import BY_SETS, check_test_folder, run
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product
 from daq_service.cli.reproduce.items import chosen_items
 from daq_service.cli.reproduce.outcome import Outcome, facts_of_test, finish, print_result, versions
-from daq_service.cli.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output, write_whole
+from daq_service.cli.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output
 from daq_service.cli.reproduce.page import Section
 from daq_service.cli.reproduce.style import house_style, rendered
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
@@ -33,6 +32,7 @@ from daq_service.processes.data_folder import new_folder
 from daq_service.processes.worker import one_worker
 from daq_service.settings.stored import differences
 from daq_service.settings.tree import Settings
+from daq_service.shared_file import write_output
 from simulator.errors import SimulatorError
 
 POLL_S = 0.1
@@ -83,7 +83,7 @@ def reproduce_into(
     executor: Executor,
     stop: threading.Event,
     report: Report,
-) -> tuple[dict[str, Any], bool]:
+) -> tuple[dict[str, object], bool]:
     """Compute `items` and write them to the folder `out`.
 
     Parameters
@@ -164,7 +164,7 @@ class _ProgressOfTenths:
             self._report(f"test: hour {due_h:g}, set {done} of {planned}")
 
 
-def _wait(future: Future[Any], stop: threading.Event) -> Any:
+def _wait(future: Future[object], stop: threading.Event) -> object:
     """Wait for a result or an interruption."""
     while not future.done():
         if stop.wait(POLL_S):
@@ -178,13 +178,13 @@ def _wait(future: Future[Any], stop: threading.Event) -> Any:
 def _make(
     run: Outcome,
     item: Item,
-    futures: Mapping[Job, Future[Any]],
+    futures: Mapping[Job, Future[object]],
     evidence: Future[Evidence] | None,
     stop: threading.Event,
     report: Report,
 ) -> None:
     """Wait for the inputs of an item, compute it, write its files."""
-    results: dict[str, Any] = {}
+    results: dict[str, object] = {}
     for name, job in item.jobs.items():
         try:
             results[name] = _wait(futures[job], stop)
@@ -228,7 +228,7 @@ def _written(
     for ending, table in product.tables.items():
         contents[f"{stem}_{ending}.csv" if ending else f"{stem}.csv"] = csv_bytes(table)
     for name, content in contents.items():
-        write_whole(run.out / name, content)
+        write_output(run.out / name, content)
     return Section(
         name=item.name,
         title=item.title,

@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import click
+import tomlkit
 from pydantic import ValidationError
+from tomlkit.exceptions import TOMLKitError
 
 from daq_service.catalogue.experiment_file import read_experiment
 from daq_service.clock import format_utc
@@ -162,8 +164,8 @@ def _read(text: str, *, like: Any) -> Any:
     if isinstance(like, str):
         return text
     try:
-        return tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError as error:
+        return tomlkit.value(text).unwrap()
+    except TOMLKitError as error:
         raise UsageError(f"--set: {text} is no TOML value: {error}; write one like {like}") from error
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 from pydantic import AwareDatetime, BeforeValidator
@@ -107,7 +107,7 @@ def _utc_ns(moment: datetime | None) -> int | None:
     return None if moment is None else (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
-def _item(context: Context, number: int, entry: AuditEntry) -> dict[str, Any]:
+def _item(context: Context, number: int, entry: AuditEntry) -> dict[str, object]:
     outcome = None if entry.command_id is None else _outcome(context, entry.command_id)
     return with_utc({"id": number, **asdict(entry), "outcome": outcome}, 0)
 

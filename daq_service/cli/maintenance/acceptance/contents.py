@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
 
 from daq_service.cli.maintenance.acceptance import conduct, faults, sets
 from daq_service.cli.maintenance.acceptance.criteria import Comparison, Criterion, compared, outcome
@@ -105,7 +104,7 @@ def _identity(evidence: Evidence) -> dict[str, str]:
     }
 
 
-def _listed(values: Mapping[str, Any]) -> str:
+def _listed(values: Mapping[str, object]) -> str:
     """Join names and values."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
@@ -132,7 +131,7 @@ def _notes(evidence: Evidence) -> list[str]:
     return notes
 
 
-def as_json(report: AcceptanceReport) -> dict[str, Any]:
+def as_json(report: AcceptanceReport) -> dict[str, object]:
     """Return the report as a JSON object; units are values or endings of names."""
     return {
         "solimon_acceptance_report": SHAPE,
@@ -173,7 +172,7 @@ def as_json(report: AcceptanceReport) -> dict[str, Any]:
     }
 
 
-def _as_object(item: Quantity) -> dict[str, Any]:
+def _as_object(item: Quantity) -> dict[str, object]:
     """Return a quantity without its name."""
     fields = asdict(item)
     del fields["name"]

@@ -6,7 +6,6 @@ import base64
 from collections.abc import Iterable, Mapping
 from html import escape
 from itertools import groupby
-from typing import Any
 
 from daq_service.cli.maintenance.acceptance.contents import AcceptanceReport
 from daq_service.cli.maintenance.acceptance.criteria import Comparison
@@ -189,6 +188,6 @@ def _table(head: Iterable[str], rows: Iterable[Iterable[str]], numbers: Iterable
     return f"<table>{f'<thead><tr>{columns}</tr></thead>' if columns else ''}<tbody>{body}</tbody></table>"
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     """Return the HTML of a value."""
     return escape(f"{value:.4g}" if isinstance(value, float) else str(value))

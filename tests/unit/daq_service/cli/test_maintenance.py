@@ -38,7 +38,7 @@ from daq_service.errors import BusyError, StorageError, StorageUnavailableError
 from daq_service.processes.data_folder import CACHES, LOCKS, SOURCES, own_data_folder, settings_of_folder
 from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
 from daq_service.processes.notifications.delivery_log import Delivery, DeliveryLog
-from daq_service.recording.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild
 
 PAGE = Path(__file__).parents[4] / "docs" / "reference" / "data-folder.md"
 FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"

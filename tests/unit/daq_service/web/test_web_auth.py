@@ -506,4 +506,4 @@ def test_a_full_audit_log_does_not_prevent_a_pause(filled, monkeypatch, caplog):
     monkeypatch.setattr("daq_service.processes.line_file.append_durably", refuse)
     with served(filled.settings, filled.folder) as service, service.client() as api:
         assert api.post("/api/v1/commands", json=HOLD).status_code == 202
-    assert "not in audit.jsonl: hold accepted mallory" in caplog.text
+    assert "not in audit.jsonl: pause accepted mallory" in caplog.text
