@@ -62,7 +62,7 @@ _READABLE_FORMAT = "1."
 
 _PLANNED = ("method", "n_planned", "cause", "label", "serial_number")
 
-_Columns = Mapping[str, list[object]]
+_Columns = Mapping[str, list[Any]]
 
 
 class FolderSetReader:
@@ -351,7 +351,7 @@ class RecordGroup:
         crc32_read = waveform_crc32(waveform)
         return waveform if crc32_read == crc32 else f"CRC-32 is {crc32_read:08x}, stored as {crc32:08x}"
 
-    def echo_settings(self, row: int) -> dict[str, object]:
+    def echo_settings(self, row: int) -> dict[str, Any]:
         """Return the receiver settings of a pulse-echo record."""
         return {
             "gain_db": float(self.data["gain"][row]),
@@ -389,7 +389,7 @@ def _read_records(
             if isinstance(waveform, str):
                 reasons[sequence] = waveform
                 continue
-            common: dict[str, object] = {
+            common: dict[str, Any] = {
                 "sequence": sequence,
                 "key": _key(table, row_of[sequence], set_index),
                 "stamp": _stamp(table, row_of[sequence]),
@@ -467,7 +467,7 @@ def _damage_of_row(table: _Columns, row: int, reason: str) -> Damage:
     )
 
 
-def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, object]]:
+def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
     """Read the truth or settings of each record by sequence."""
     facts: dict[int, dict[str, Any]] = {}
     for group_name in entry:

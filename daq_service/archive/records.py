@@ -116,7 +116,7 @@ class SetRecord:
 
     def __post_init__(self) -> None:
         for name in ("positions", "shots", "echoes", "missed"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+            Any.__setattr__(self, name, tuple(getattr(self, name)))
         records = self.records
         if not records:
             raise ValueError(f"set {self.set_index} has no record; a set without one has rows but no file")

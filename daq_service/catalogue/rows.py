@@ -240,7 +240,7 @@ class AssessmentRow(Row):
     ] = None
     cause_probability: Annotated[float | None, "Of that cause, or of the likeliest"] = None
     cause_told: Annotated[
-        dict[str, object] | None,
+        dict[str, Any] | None,
         "Sentence and action for operators, probability of every cause and of a step, relative changes",
     ] = None
     confirms: Annotated[

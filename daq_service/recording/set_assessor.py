@@ -6,6 +6,7 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
+from typing import Any
 
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
@@ -23,13 +24,13 @@ from daq_service.alarms.states import (
     update,
 )
 from daq_service.archive import SetReader, SetRecord
-from daq_service.assessment.assessor import Assessor, PositionResult, StoredResult
+from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.confirmation import summarize_confirmation
 from daq_service.assessment.methods import METHODS
-from daq_service.assessment.stored_state import state_rows
+from daq_service.assessment.position_assessors import PositionAssessors
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.rows import AlarmRow, AssessmentRow, EventRow, SetRow
+from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.recording.confirmations import Alarms, Confirmations
@@ -59,6 +60,8 @@ class SetAssessor:
         A whole set was taken in this folder: from then on trouble of its instruments costs sets only.
     confirmations
         Unscheduled sets.
+    assessors
+        Assessors by position.
     drive
         The corrosion drive; None where the test has neither supply nor climate probe.
     """
@@ -84,11 +87,7 @@ class SetAssessor:
         counts = catalogue.counts()
         self.proven = counts["sets"] > counts["partial_sets"]
         self.confirmations = Confirmations(settings, catalogue)
-        self._archive, self._rehearsal = archive, rehearsal
-        self._assessors = {position: self._restored(position) for position in settings.positions}
-        self._stored_states: dict[str, object] = {}
-        self._configuration_hash = settings.configuration_hash()
-        self._reinstated = False
+        self.assessors = PositionAssessors(settings, catalogue, archive, rehearsal)
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self._delayed_since_ns: dict[tuple[str | None, str], int | None] = {}
         for event in catalogue.rows(EventRow, topic="alarms", kind=DELAY_EVENT):
@@ -106,7 +105,7 @@ class SetAssessor:
 
     def passed(self, row: SetRow) -> Sequence[Condition]:
         """Update the state with the stored row of a set without waveforms; return its alarm conditions."""
-        position_result = self._assessor(row.position).assess_empty_set(
+        position_result = self.assessors[row.position].assess_empty_set(
             DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
             row.n_missed - row.n_restrikes,
         )
@@ -115,43 +114,6 @@ class SetAssessor:
     def retired(self) -> dict[str, str]:
         """Transducers that strike no more, and why."""
         return retired_positions(self.alarms.values())
-
-    def reinstated(self, position: str) -> None:
-        """Reset the reason why a transducer was disabled: a person has enabled it."""
-        self._assessor(position).reinstate()
-        self._reinstated = True
-
-    def knows(self, position: str | None) -> bool:
-        """Return whether a position belongs to the test."""
-        return position in self._settings.positions
-
-    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
-        """Update the state with a set by its rows (`Assessor.follow`)."""
-        return self._assessor(stored.its_set.position).follow(stored)
-
-    @property
-    def states(self) -> dict[str, object]:
-        """Return the state of each position; set it to continue from an earlier one."""
-        return {position: assessor.state for position, assessor in self._assessors.items()}
-
-    @states.setter
-    def states(self, states: Mapping[str, object]) -> None:
-        for position, state in states.items():
-            self._assessors[position].state = state
-
-    def renewed(self, position: str) -> None:
-        """Judge by what is stored from the next set on: a person has begun another baseline."""
-        self._assessors.pop(position, None)
-        self._stored_states.pop(position, None)
-
-    def _restored(self, position: str) -> Assessor:
-        method = METHODS[self._settings.positions[position].method]
-        return method.restored(position, self._settings, self._catalogue, self._archive, self._rehearsal)
-
-    def _assessor(self, position: str) -> Assessor:
-        if position not in self._assessors:
-            self._assessors[position] = self._restored(position)
-        return self._assessors[position]
 
     def assessed(
         self,
@@ -185,7 +147,7 @@ class SetAssessor:
                 )
                 continue
             measurements = [item for item in record.records if item.key.position == position]
-            assessor = self._assessor(position)
+            assessor = self.assessors[position]
             with self._cost.of("judge_s"):
                 assess_set = assessor.assess_set if due.position is None else assessor.assess_unscheduled
                 position_result = assess_set(due, record, features)
@@ -237,7 +199,7 @@ class SetAssessor:
         ValueError
             It cannot be taken, and why.
         """
-        if reason := self._assessor(position).not_assessed_reason:
+        if reason := self.assessors[position].not_assessed_reason:
             raise ValueError(f"{position} has nothing to compare a set with: {reason}")
         return self.confirmations.order(planned, position, author, note, moment)
 
@@ -301,29 +263,14 @@ class SetAssessor:
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             return
         # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
-        if indices or (self._reinstated and self._uncommitted is None):
-            self.add_states(transaction)
+        if indices or (self.assessors.reinstated and self._uncommitted is None):
+            transaction.states |= self.assessors.changed_states()
         self._uncommitted = transaction if indices else self._uncommitted
         with self._cost.of("commit_s"):
             committed = self._catalogue.commit_set(transaction)
         self._uncommitted = None if transaction is self._uncommitted else self._uncommitted
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
-
-    def add_states(self, transaction: Transaction) -> None:
-        """Add the states of the assessors that have changed."""
-        for position, assessor in self._assessors.items():
-            before, after = self._stored_states.get(position), assessor.state
-            for row in state_rows(
-                before,
-                after,
-                position=position,
-                baseline_id=assessor.baseline_id,
-                configuration_hash=self._configuration_hash,
-            ):
-                transaction.states[row.place] = row
-            self._stored_states[position] = after
-        self._reinstated = False
 
     def publish(self, transaction: Transaction) -> None:
         """Take over what was stored, and report its alarms and gaps."""
@@ -357,7 +304,7 @@ class SetAssessor:
             restrikes = sum(key.attempt > 0 for key in missed)
             position_result = PositionResult()
             if tried is not None and not gone and due.position is None:
-                position_result = self._assessor(position).assess_empty_set(due, len(missed) - restrikes)
+                position_result = self.assessors[position].assess_empty_set(due, len(missed) - restrikes)
             row = replace(
                 without_records(
                     self._settings,

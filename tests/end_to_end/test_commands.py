@@ -488,29 +488,3 @@ def test_simulate_refuses_impossible_parameters(arguments: list[str], words: str
     assert done.returncode == 2
     assert words in done.stderr
     assert done.stdout == ""
-
-
-def test_the_command_line_imports_nothing_heavy() -> None:
-    """`solimon --help` must answer at once: only a command's own imports cost time."""
-    code = "import sys, daq_service.cli.main; print(*sorted(m for m in sys.modules if '.' not in m))"
-    loaded = set(
-        subprocess.run(
-            [sys.executable, "-c", code], capture_output=True, text=True, check=True
-        ).stdout.split()
-    )
-    assert "click" in loaded
-    heavy = {
-        "numpy",
-        "scipy",
-        "numba",
-        "h5py",
-        "fastapi",
-        "pydantic",
-        "sqlalchemy",
-        "uvicorn",
-        "nidaqmx",
-        "serial",
-        "matplotlib",
-        "rich",
-    }
-    assert not loaded & heavy

@@ -452,7 +452,7 @@ def test_an_operator_disables_and_enables_between_sets(tmp_path: Path) -> None:
     assert {row.cause for row in rows[1:3]} == {"retired by ann: sensor taken off"}
     assert [(state, result) for _, state, result in answers(tmp_path)] == [
         ("done", "C is disabled"),
-        ("refused", "C is disabled already"),
+        ("refused", "C is disabled"),
         ("refused", "there is no solitary-wave transducer 'A'; there are: B, C, D"),
         ("done", "C strikes again from the next set"),
         ("refused", "C is not disabled"),

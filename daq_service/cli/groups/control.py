@@ -5,6 +5,7 @@ from __future__ import annotations
 import sys
 from functools import partial
 from importlib import import_module
+from typing import Any
 
 import click
 
@@ -33,7 +34,7 @@ SENT = (
 OF_A_TRANSDUCER = (options.POSITION, *SENT)
 
 
-def _send(kind: str, *, note: str, **given: object) -> int:
+def _send(kind: str, *, note: str, **given: Any) -> int:
     """Ask for a missing reason and send the command."""
     if kind in REASONS and not note.strip():
         message, question = REASONS[kind]
@@ -45,7 +46,7 @@ def _send(kind: str, *, note: str, **given: object) -> int:
 
 
 def _switch_supply(
-    on: bool | None, voltage_v: float | None, current_limit_a: float | None, note: str, **given: object
+    on: bool | None, voltage_v: float | None, current_limit_a: float | None, note: str, **given: Any
 ) -> int:
     if on is None:
         raise click.UsageError("give --on or --off")

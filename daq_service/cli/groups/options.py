@@ -7,6 +7,7 @@ from collections.abc import Callable
 from functools import partial
 from importlib import import_module
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -17,14 +18,14 @@ from daq_service.errors import EXIT_OK
 class _Positive(click.FloatRange):
     """Positive finite number: a range alone accepts infinity and NaN."""
 
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> object:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no finite number.", param, ctx)
         return number
 
 
-Decorator = Callable[[object], object]
+Decorator = Callable[[Any], Any]
 option, argument, Choice, IntRange = click.option, click.argument, click.Choice, click.IntRange
 
 PATH = click.Path(path_type=Path)
@@ -69,7 +70,7 @@ def executor(text: str) -> Decorator:
     return option("--executor", metavar="processes|threads|dask://HOST", help=text)
 
 
-def call(target: str, **options: object) -> int:
+def call(target: str, **options: Any) -> int:
     """Import the function ``MODULE:NAME`` of the command line and return its exit code."""
     module, _, function = target.partition(":")
     return getattr(import_module(f"daq_service.cli.{module}"), function)(**options) or EXIT_OK

@@ -10,7 +10,7 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -103,7 +103,7 @@ def run_export(
     targets: Sequence[Path],
     overwrite: bool,
     as_json: bool,
-    **options: object,
+    **options: Any,
 ) -> int:
     """Write one file of a test, a table or waveforms; return 4 if a set's file is unreadable."""
     if [hdf5, table, waveforms].count(None) != 2:
@@ -162,7 +162,7 @@ def _print_files(files: Sequence[ExportedTable], *, as_json: bool) -> int:
     return EXIT_OK
 
 
-def run_acceptance_report(*, data_dir: Path, **options: object) -> int:
+def run_acceptance_report(*, data_dir: Path, **options: Any) -> int:
     """Write an acceptance report; return 6 if it does not pass."""
     from daq_service.cli.maintenance.acceptance.command import write_acceptance_report
 

@@ -40,7 +40,7 @@ class Outcome:
         return [row for section in self.sections for row in section.rows]
 
 
-def versions() -> dict[str, object]:
+def versions() -> dict[str, Any]:
     """Return the facts of a run before it has a test."""
     return {
         "seed": None,
@@ -55,7 +55,7 @@ def versions() -> dict[str, object]:
     }
 
 
-def facts_of_test(test: Evidence) -> dict[str, object]:
+def facts_of_test(test: Evidence) -> dict[str, Any]:
     """Return the facts of a test."""
     return {
         "seed": test.seed,
@@ -133,7 +133,7 @@ def _row_dict(row: Row) -> dict[str, object]:
     return {**asdict(row), "deviation_shown": row.deviation_shown}
 
 
-def print_result(result: Mapping[str, object]) -> None:
+def print_result(result: Mapping[str, Any]) -> None:
     """Print the result of `finish`."""
     rows = result["comparison"]
     if rows:

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -164,7 +165,7 @@ class _ProgressOfTenths:
             self._report(f"test: hour {due_h:g}, set {done} of {planned}")
 
 
-def _wait(future: Future[object], stop: threading.Event) -> object:
+def _wait(future: Future[Any], stop: threading.Event) -> Any:
     """Wait for a result or an interruption."""
     while not future.done():
         if stop.wait(POLL_S):
@@ -178,13 +179,13 @@ def _wait(future: Future[object], stop: threading.Event) -> object:
 def _make(
     run: Outcome,
     item: Item,
-    futures: Mapping[Job, Future[object]],
+    futures: Mapping[Job, Future[Any]],
     evidence: Future[Evidence] | None,
     stop: threading.Event,
     report: Report,
 ) -> None:
     """Wait for the inputs of an item, compute it, write its files."""
-    results: dict[str, object] = {}
+    results: dict[str, Any] = {}
     for name, job in item.jobs.items():
         try:
             results[name] = _wait(futures[job], stop)

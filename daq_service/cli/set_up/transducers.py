@@ -77,24 +77,29 @@ def set_up_transducers(dialogue: Dialogue, instruments: Instruments, flags: Flag
     """
     asks = not flags.transducers
     instruments.introduce(flags, asks=asks)
+    if asks:
+        _ask_for_transducers(dialogue, instruments)
+    for position, text in flags.transducers.items():
+        try:
+            instruments.wire(position, text)
+        except ValueError as error:
+            raise UsageError(f"--transducer {position}={text}: {error}") from error
     if not asks:
-        for position, text in flags.transducers.items():
-            try:
-                instruments.wire(position, text)
-            except ValueError as error:
-                raise UsageError(f"--transducer {position}={text}: {error}") from error
         instruments.check()
-        if not flags.strike:
-            return
+    if flags.strike:
         instruments.strike_each(flags.transducers)
-    while asks and (position := _ask_position(dialogue, instruments.wired)) is not None:
+    if asks or flags.strike:
+        instruments.conclude(asks=asks)
+
+
+def _ask_for_transducers(dialogue: Dialogue, instruments: Instruments) -> None:
+    while (position := _ask_position(dialogue, instruments.wired)) is not None:
         instruments.ask_wiring(position)
         while _strikes_or_goes_on(dialogue, position):
             try:
-                instruments.strike(position)
+                instruments.strike(asked_position)
             except (InstrumentError, AnalysisError, BusyError) as error:
                 dialogue.report(f"  {error}")
-    instruments.conclude(asks=asks)
 
 
 def positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]]:

@@ -206,7 +206,7 @@ class _Reassessment:
             self._repeat_baseline_action(row_of(BaselineRow, event))
         else:
             self._repeat_alarm_action(event)
-        repeat_action(event, self._assessor)
+        repeat_action(event, self._assessor.assessors, self._settings.positions)
 
     def _repeat_baseline_action(self, stored: BaselineRow) -> None:
         """Repeat a person's action on a baseline; its numbers are those of this assessment."""

@@ -178,7 +178,7 @@ class _Restoration:
                 self._catalogue.restore([row_of(AnnotationRow, event, "annotation_id")])
             if event.kind in STEPS:
                 self._catalogue.restore([row_of(BaselineRow, event)])
-            repeat_action(event, self._set_assessor)
+            repeat_action(event, self._set_assessor.assessors, self._settings.positions)
 
     def _take_alarm(self, event: EventRow) -> None:
         self._set_assessor.take_stored(event)
@@ -219,14 +219,11 @@ class _Restoration:
 
     def _follow(self, transaction: Transaction) -> None:
         """Update the states with the rows of a set; add the assessments of a baseline that it completes."""
-        results = {
-            row.position: row
-            for row in [*transaction.thickness, *transaction.features]
-            if isinstance(row, ThicknessRow) or row.shot_index is None
-        }
+        results: dict[str, FeatureRow | ThicknessRow] = {row.position: row for row in transaction.thickness}
+        results |= {row.position: row for row in transaction.features if row.shot_index is None}
         completed: list[AssessmentRow] = []
         for row in filter(is_assessed, transaction.sets):
-            followed = self._set_assessor.follow(
+            followed = self._set_assessor.assessors.follow(
                 StoredResult(
                     its_set=row,
                     result=results.get(row.position),
@@ -277,7 +274,7 @@ class _Restoration:
         due = due_of(record)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         sha256 = self._digest(reference)
-        states = self._set_assessor.states
+        states = self._set_assessor.assessors.states
         transaction = self._set_assessor.assessed(due, record, reference, features, sha256=sha256)
         if record.results and not damage:
             again = results_of(transaction.features, transaction.thickness, transaction.shots)
@@ -290,7 +287,7 @@ class _Restoration:
                 self._result.differing += _differences(computed, events)
             _with_stored_rows(transaction, events, all_rows=bool(damage))
             if damage:  # the state follows the stored rows, which are of all records
-                self._set_assessor.states = states
+                self._set_assessor.assessors.states = states
                 self._follow(transaction)
         self._commit(transaction, self._placed(computed, events, free), computed_alarms=not events)
         self._result.sets += 1
@@ -317,7 +314,7 @@ class _Restoration:
             self._alarms |= {row.id or 0: row for row in self._set_assessor.alarms.values()}
             return
         transaction.alarms, transaction.events, transaction.alarm_of_event = [], list(events), {}
-        self._set_assessor.add_states(transaction)
+        transaction.states |= self._set_assessor.assessors.changed_states()
         self._catalogue.commit_set(transaction)
         self._set_assessor.confirmations.take_rows(transaction)
         for event in events:
@@ -382,7 +379,9 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
         )
         if "tof_pp_s" in result:
             values = {name: result[name] for name in ("extractor_version", "quality", "n_valid")}
-            measured_values = {name: _finite_or_none(result.get(name)) for name in measured(FeatureRow)}
+            measured_values: dict[str, Any] = {
+                name: _finite_or_none(result.get(name)) for name in measured(FeatureRow)
+            }
             features.append(
                 FeatureRow(**key, sequence=row["shot_id"], due_h=due_h, **values, **measured_values)
             )

@@ -6,14 +6,14 @@ a command, an alarm of a device or a message of the recorder.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from itertools import groupby
 from typing import TypeVar
 
 from daq_service.alarms.states import RETIRING
 from daq_service.assessment.baseline_lifecycle import STEPS
+from daq_service.assessment.position_assessors import PositionAssessors
 from daq_service.catalogue.rows import EventRow, Row
-from daq_service.recording.set_assessor import SetAssessor
 
 R = TypeVar("R", bound=Row)
 Run = tuple[int | None, Sequence[EventRow]]
@@ -27,12 +27,12 @@ def runs_of(events: Iterable[EventRow]) -> Iterator[Run]:
         yield set_index, list(run)
 
 
-def repeat_action(event: EventRow, assessor: SetAssessor) -> None:
+def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Container[str | None]) -> None:
     """Repeat the effect of a person's action on the state: a renewed baseline, an enabled transducer."""
     if event.kind in STEPS:
-        assessor.renewed(str(event.position))
-    elif event.kind == "alarm_reset" and event.payload["kind"] in RETIRING and assessor.knows(event.position):
-        assessor.reinstated(str(event.position))
+        assessors.renew(str(event.position))
+    elif event.kind == "alarm_reset" and event.payload["kind"] in RETIRING and event.position in positions:
+        assessors.reinstate(str(event.position))
 
 
 def row_of(kind: type[R], event: EventRow, id_name: str = "id") -> R:

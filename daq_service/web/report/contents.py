@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from daq_service.archive import ArchiveError, FolderSetReader
 from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
@@ -55,7 +56,7 @@ OF_ASSESSMENTS = (
 )
 OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "quality")
 
-Columns = Mapping[str, list[object]]
+Columns = Mapping[str, list[Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +127,7 @@ class Contents:
     wall_age_s: float | None
     recorder: str
     held: str | None
-    rig_identity: Mapping[str, object]
+    rig_identity: Mapping[str, Any]
     n_files: int
     files_sha256: str
     extractors: Sequence[str]

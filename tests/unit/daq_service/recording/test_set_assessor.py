@@ -163,7 +163,7 @@ def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
 def restored_states(line):
     """Return the state of each position after a restart, every bit of it."""
     with assessor_of(line) as ledger:
-        return {name: bits(assessor.state) for name, assessor in ledger._assessors.items()}
+        return {name: bits(state) for name, state in ledger.assessors.states.items()}
 
 
 def assert_rows_have_the_stored_states(line):
@@ -222,7 +222,7 @@ def test_a_restart_from_stored_rows_restores_an_old_active_alarm(line):
     line.run()
     forget_states(line.folder)
     with assessor_of(line) as ledger:
-        assert [ledger._assessors[name].state.alarm.active for name in "BCD"] == [True] * 3
+        assert [ledger.assessors[name].state.alarm.active for name in "BCD"] == [True] * 3
 
 
 def test_a_hole_trips_the_supply_immediately_and_once(line):
@@ -273,9 +273,9 @@ def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
 def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
     line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
     with recorded(line, 2) as (ledger, again, records):
-        ledger.reinstated("D")
+        ledger.assessors.reinstate("D")
         ledger.commit(Transaction())
-        assert restored_states(again)["D"] == bits(ledger._assessors["D"].state)
+        assert restored_states(again)["D"] == bits(ledger.assessors["D"].state)
         assess_set(ledger, again, *records[2])
         assert "D" not in ledger.retired()
 
