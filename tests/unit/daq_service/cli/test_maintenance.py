@@ -200,7 +200,7 @@ def audit_three(folder):
 
 def notify_three(folder):
     for receiver in ("ann", "ben", "cleo"):
-        DeliveryLog(folder).append(Delivery(receiver=receiver, what="sent", description="a hole at B"))
+        DeliveryLog(folder).append(Delivery(receiver=receiver, what="sent", result="a hole at B"))
 
 
 @pytest.mark.parametrize(

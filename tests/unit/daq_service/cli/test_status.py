@@ -97,7 +97,8 @@ def test_each_result_has_its_limit_quality_and_age(filled: FilledFolder) -> None
     assert line_of(lines_by_sets, " B") == f" B  normal  D² {distance:.1f}, {waves}  {LIMIT_F}  -  {rest}"
     assert not any(line.startswith("decides") for line in lines_by_sets)
     wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
-    assert line_of(lines, " A").startswith(f" A  normal  {1e3 * wall_m:.2f} mm  5.71 mm  -  good  0 s")
+    reading = f"{1e3 * wall_m:.2f} mm ({1e3 * wall_m - 0.01:.2f} to {1e3 * wall_m + 0.02:.2f})"
+    assert line_of(lines, " A").startswith(f" A  normal  {reading}  5.71 mm  -  good  0 s")
 
 
 def test_a_diagnosis_other_than_ok_has_its_own_line(filled: FilledFolder) -> None:
@@ -143,9 +144,9 @@ def test_status_lists_alarms_with_state_and_age(filled: FilledFolder) -> None:
     lines = status_of(filled)
     assert line_of(lines, "alarms") == "alarms  2"
     assert line_of(lines, " 1") == " 1  high  B  unacknowledged  30 min  wall_change: 3 of the last 5 sets"
-    assert line_of(lines, " 2") == " 2  critical  C  acknowledged  0 s  hole: a hole"
+    assert line_of(lines, " 2") == " 2  critical  C  acknowledged  0 s  no_reflection: a hole"
     assert line_of(lines, " B").startswith(" B  alarm")
-    assert line_of(lines, " C").startswith(" C  retired")
+    assert line_of(lines, " C").startswith(" C  disabled")
     assert line_of(lines, "wall_change: look first: 1 the control position")
     filled.shelve(1, "a known leak", for_h=8.0)
     lines = status_of(filled)
@@ -259,11 +260,11 @@ def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path: Pat
         )
     )
     lines = status_of(filled)
-    assert line_of(lines, " D").startswith(" D  not judged  ToF ")
+    assert line_of(lines, " D").startswith(" D  not assessed  ToF ")
     assert "  none  -  good, n = 1  " in line_of(lines, " D")
     assert line_of(lines, "baseline") == f"baseline  D: NOT JUDGED: {reason}"
     page = report_page(tmp_path).decode()
-    assert re.search(rf">not judged</td>\s*<td[^>]*>not judged: {reason}</td>", page)
+    assert re.search(rf">not assessed</td>\s*<td[^>]*>not judged: {reason}</td>", page)
     filled.close()
 
 

@@ -127,7 +127,7 @@ def test_a_setting_moves_an_alarm(line):
 def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(line):
     found = replayed(line.folder, ["baseline.hours=8"])
     words = list(in_words(found))
-    assert "stays  C hole: set 22, hour 11.51" in words
+    assert "stays  C no_reflection: set 22, hour 11.51" in words
     assert "baseline B: n_sets 15 -> 16" in words
     of_b = {(item.table, item.column): item for item in found.differences if item.position == "B"}
     assert (of_b["baseline", "n_sets"].stored, of_b["baseline", "n_sets"].again) == (15, 16)
