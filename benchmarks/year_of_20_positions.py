@@ -61,6 +61,7 @@ from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.recording import session
 from daq_service.recording.recorder import Recorder
+from daq_service.recording.resources import Resources
 from daq_service.settings.tree import Settings
 from daq_service.web.app import create_app
 from daq_service.web.context import context_of
@@ -467,9 +468,11 @@ def start_s(folder: Path, settings: Settings) -> dict[str, float]:
             note("resume")
             rig = Rig(kind="simulated", clock=SimulatedClock(resumed_ns), striker=None, digitizer=None)  # type: ignore[arg-type]
             Recorder(
-                settings, archive, catalogue, rig, catalogue.experiment_row().epoch_utc_ns,
-                live=LiveFigure(folder, "simulated"), heartbeat=Heartbeat(folder, deadline_s=1e9),
-                stop=threading.Event(), report=lambda event, **values: None,
+                Resources(
+                    settings=settings, archive=archive, catalogue=catalogue, rig=rig,
+                    heartbeat=Heartbeat(folder, deadline_s=1e9), live=LiveFigure(folder, "simulated"),
+                    stop=threading.Event(), report=lambda event, **values: None,
+                )
             )  # fmt: skip
             note("recorder")
     return taken | {"all": sum(taken.values())}

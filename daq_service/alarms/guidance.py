@@ -103,11 +103,11 @@ GUIDANCE: Mapping[str, Guidance] = {
         says="the transducer strikes no more: too few valid shots for long, or a person's order",
         does_not_say="that the others suffer: they go on",
         look_first=(
-            "who or what retired it (the message)",
+            "who or what disabled it (the message)",
             "coil's temperature",
-            "as for `no_data`; then `solimon reinstate`",
+            "as for `no_data`; then `solimon enable`",
         ),
-        short="The message says who or what retired it; mend that, then `solimon reinstate`.",
+        short="The message names who or what disabled it. Fix that, then run `solimon enable`.",
         call="who looks after the rig",
     ),
     "rig_unavailable": Guidance(

@@ -253,7 +253,7 @@ def _variable_text() -> h5t.TypeID:
     return h5t.py_create(_TEXT, logical=True)
 
 
-def to_stored_form(values: Any) -> Stored:
+def to_stored_form(values: object) -> Stored:
     """Return array and HDF5 type: UTF-8 strings of fixed length, little-endian numbers."""
     if isinstance(values, str):
         return _stored_text(values)
@@ -286,7 +286,7 @@ def _text_type(n_bytes: int) -> h5t.TypeID:
 
 
 @cache
-def _number_type(dtype: np.dtype[Any]) -> h5t.TypeID:
+def _number_type(dtype: np.dtype[object]) -> h5t.TypeID:
     """Return the HDF5 type of a NumPy type."""
     return h5t.py_create(dtype)
 

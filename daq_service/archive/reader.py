@@ -61,7 +61,7 @@ _READABLE_FORMAT = "1."
 
 _PLANNED = ("method", "n_planned", "cause", "label", "serial_number")
 
-_Columns = Mapping[str, list[Any]]
+_Columns = Mapping[str, list[object]]
 
 
 class FolderSetReader:
@@ -331,7 +331,7 @@ class RecordGroup:
         crc32_read = waveform_crc32(waveform)
         return waveform if crc32_read == crc32 else f"CRC-32 is {crc32_read:08x}, stored as {crc32:08x}"
 
-    def echo_settings(self, row: int) -> dict[str, Any]:
+    def echo_settings(self, row: int) -> dict[str, object]:
         """Return the receiver settings of a pulse-echo record."""
         return {
             "gain_db": float(self.data["gain"][row]),
@@ -369,7 +369,7 @@ def _read_records(
             if isinstance(waveform, str):
                 reasons[sequence] = waveform
                 continue
-            common: dict[str, Any] = {
+            common: dict[str, object] = {
                 "sequence": sequence,
                 "key": _key(table, row_of[sequence], set_index),
                 "stamp": _stamp(table, row_of[sequence]),
@@ -442,7 +442,7 @@ def _damage_of_row(table: _Columns, row: int, reason: str) -> Damage:
     )
 
 
-def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
+def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, object]]:
     """Read the truth or settings of each record by sequence."""
     facts: dict[int, dict[str, Any]] = {}
     for group_name in entry:
@@ -559,6 +559,6 @@ def opened_set(path: Path, content: bytes | None = None, *, is_own: bool = False
         raise CorruptArchiveError(f"{path} is damaged: {error}; {BACK}") from error
 
 
-def _text(value: Any) -> str:
+def _text(value: object) -> str:
     """Decode a text of HDF5."""
     return value.decode() if isinstance(value, bytes) else str(value)

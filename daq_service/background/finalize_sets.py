@@ -19,6 +19,7 @@ from daq_service.archive import (
     SetReference,
 )
 from daq_service.archive.finalize_set import compact_set
+from daq_service.background.task import BackgroundTask
 from daq_service.errors import StorageError
 from daq_service.processes.worker import one_worker
 
@@ -30,7 +31,7 @@ AGAIN_AFTER_S = 10.0
 """A set whose file could not be made stays in the journal, where it is safe."""
 
 
-class SetFinalizer:
+class SetFinalizer(BackgroundTask):
     """Finalizer of sets: a worker writes the file of each complete set, then the journal drops it.
 
     Parameters
@@ -69,7 +70,7 @@ class SetFinalizer:
         self._refusal = self._last_message = ""
         self.damaged: dict[str, str] = {}
 
-    def put(self, set_index: int) -> None:
+    def after_set(self, set_index: int) -> None:
         """Submit a complete set of the journal to the worker, which writes its file."""
         if self._executor is None:
             self._executor = self._start()
@@ -101,14 +102,14 @@ class SetFinalizer:
             self._executor = None
             return None
 
-    def work(self) -> None:
+    def run_for(self, seconds: float = 0.0) -> None:
         """Process finished files and retry failed ones; called while no set is due."""
         for set_index in [index for index, future in self._running.items() if future.done()]:
             self._take_back(set_index, self._running.pop(set_index))
         now_s = self._mono_s()
         for set_index in [index for index, due_s in self._again_s.items() if due_s <= now_s]:
             del self._again_s[set_index]
-            self.put(set_index)
+            self.after_set(set_index)
 
     def _take_back(self, set_index: int, future: Future[tuple[SetReference, str, str]]) -> None:
         try:
@@ -156,7 +157,7 @@ class SetFinalizer:
         """Retry failed sets now, unless the worker is busy."""
         if not self._running:
             self._again_s = dict.fromkeys(self._again_s, -math.inf)
-        self.work()
+        self.run_for()
 
     def close(self) -> None:
         """Stop the worker; sets without a file remain for the next start."""

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from analysis.waves.features import ShotFeatures
+from daq_service.background.task import BackgroundTask
 from daq_service.shared_file import write_hint
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -39,7 +40,7 @@ def encode(header: Mapping[str, Any], waveform: Waveform) -> bytes:
     return struct.pack("<I", len(text)) + text + samples.tobytes()
 
 
-class LiveFigure:
+class LiveFigure(BackgroundTask):
     """Writer of the live files of one data folder."""
 
     def __init__(

@@ -16,6 +16,7 @@ from daq_service.archive import Results, SetRecord, SetReference
 from daq_service.archive.waterfall.cells import anchors_of
 from daq_service.archive.waterfall.tile_files import forget_tiles, write_tiles_of_file, write_tiles_of_set
 from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.task import BackgroundTask
 from daq_service.background.verification import QUIET_S
 from daq_service.errors import StorageError
 from hardware_drivers.measurement import PLANNED_SETS
@@ -75,7 +76,7 @@ def _scheduled_only(files: Mapping[int, str]) -> dict[int, str]:
     return {index: file for index, file in files.items() if index < PLANNED_SETS}
 
 
-class TileMaker:
+class TileMaker(BackgroundTask):
     """Background task that adds missing sets to the tiles while no set is due.
 
     Parameters
@@ -106,20 +107,14 @@ class TileMaker:
         self._next_s = mono_s()
         self._last_message = ""
 
-    def work(self, free_s: float) -> None:
-        """Process the finished sets and submit the next ones.
-
-        Parameters
-        ----------
-        free_s
-            Time until the next set is due.
-        """
+    def run_for(self, seconds: float) -> None:
+        """Process the finished sets and submit the next ones."""
         if self._running is not None:
             if not self._running.done():
                 return
             self._take_back(self._running)
             self._running = None
-        free = free_s > QUIET_S and not self._compaction.waits
+        free = seconds > QUIET_S and not self._compaction.waits
         if free and self._has_room() and self._mono_s() >= self._next_s:
             self._next_s = self._mono_s() + EVERY_S
             self._submit(self._next_sets_of_round())

@@ -13,6 +13,7 @@ from daq_service.archive import SetNotFoundError
 from daq_service.archive.records import SETS_FOLDER, referenced_sets, set_indices
 from daq_service.archive.verification import damage_of
 from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.task import BackgroundTask
 from daq_service.errors import StorageError
 
 log = logging.getLogger(__name__)
@@ -25,7 +26,7 @@ QUIET_S = 10.0
 """Before a set is due the computer is left alone for so long."""
 
 
-class IdleVerification:
+class IdleVerification(BackgroundTask):
     """Background task that verifies the files of a folder repeatedly and lists the corrupt ones.
 
     Parameters
@@ -84,20 +85,14 @@ class IdleVerification:
         self._to_come.sort(key=lambda file: file not in suspects)
         self.damaged = {**{file: suspects[file] for file in self._to_come if file in suspects}, **lost}
 
-    def work(self, free_s: float) -> None:
-        """Process a verified file, and submit the next one if there is time.
-
-        Parameters
-        ----------
-        free_s
-            Time until the next set is due.
-        """
+    def run_for(self, seconds: float) -> None:
+        """Process a verified file, and submit the next one if there is time."""
         if self._running is not None:
             file, is_noted, future = self._running
             if future.done():
                 self._running = None
                 self._take_back(file, is_noted, future)
-        elif free_s > QUIET_S and self._mono_s() >= self._next_s:
+        elif seconds > QUIET_S and self._mono_s() >= self._next_s:
             self._next_s = self._mono_s() + EVERY_S
             if not self._to_come:
                 self.begin()

@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
+from daq_service.background.task import BackgroundTask
 from daq_service.errors import StorageUnavailableError
 
 log = logging.getLogger(__name__)
@@ -26,7 +27,7 @@ class Trouble:
     since_s: float
 
 
-class WriteRetryQueue:
+class WriteRetryQueue(BackgroundTask):
     """Queue of jobs that run in their order; one that the disk rejects is retried before the others.
 
     Parameters
@@ -78,14 +79,15 @@ class WriteRetryQueue:
         self._jobs.append((job, n_bytes))
         self._n_bytes += n_bytes
         if self.trouble is None:
-            self._work()
+            self.run_all()
 
-    def work(self, *, at_once: bool = False) -> None:
-        """Retry the jobs if the waiting time is over, or at once."""
-        if self._jobs and (at_once or self._mono_s() >= self._next_s):
-            self._work()
+    def run_for(self, seconds: float) -> None:
+        """Retry the jobs if the waiting time is over."""
+        if self._jobs and self._mono_s() >= self._next_s:
+            self.run_all()
 
-    def _work(self) -> None:
+    def run_all(self) -> None:
+        """Run the jobs until one is refused."""
         while self._jobs:
             if refusal := self._refusal():
                 self._wait(refusal)

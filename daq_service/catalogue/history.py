@@ -17,7 +17,6 @@ import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import orjson
 
@@ -66,7 +65,7 @@ class History:
     last_number: int = 0
     damage: list[str] = field(default_factory=list)
 
-    def take(self, number: int, table: str, row: Mapping[str, Any]) -> None:
+    def take(self, number: int, table: str, row: Mapping[str, object]) -> None:
         """Add the contents of a line."""
         self.last_number = number
         match table:
@@ -80,7 +79,7 @@ class History:
                 self.digests[row["file"]] = row["file_sha256"]
 
 
-def line_of(number: int, table: str, row: Mapping[str, Any]) -> bytes:
+def line_of(number: int, table: str, row: Mapping[str, object]) -> bytes:
     """Return the line of a row."""
     body = orjson.dumps({"n": number, "table": table, "row": row})[1:]
     return b'%s%08x",%s\n' % (_HEAD, zlib.crc32(body), body)
@@ -139,7 +138,7 @@ def parse_lines(content: bytes, *, whole: bool = True, name: str = HISTORY_FILE)
     return history
 
 
-def parse_line(line: bytes) -> tuple[int, str, Mapping[str, Any]] | None:
+def parse_line(line: bytes) -> tuple[int, str, Mapping[str, object]] | None:
     """Parse index, table and row of a line; None if it is corrupt."""
     try:
         if line.startswith(_HEAD) and int(line[len(_HEAD) : _BODY - 2], 16) == zlib.crc32(line[_BODY:]):
@@ -167,6 +166,17 @@ class HistoryFollower:
     def note_digest(self, file: str, sha256: str) -> None:
         """Add the SHA-256 of a set's file, which the catalogue now has."""
         self._new_digests[file] = sha256
+
+    def run_for(self, seconds: float) -> None:
+        """Append new rows between sets (a `BackgroundTask`)."""
+        self.follow()
+
+    def after_set(self, set_index: int) -> None:
+        """Do nothing: its rows come with the next piece of work."""
+
+    def close(self) -> None:
+        """Append the last rows."""
+        self.follow(now=True)
 
     def begin(self) -> None:
         """Compare the history with the catalogue, and bring it up to date.
@@ -231,7 +241,7 @@ class HistoryFollower:
         # Where sets have no journal, their rows come with the digest.
         set_indices = _sets_of(events)
         files = self._new_digests | (self._digests(min(set_indices), max(set_indices)) if set_indices else {})
-        new_rows: list[tuple[str, Mapping[str, Any]]] = []
+        new_rows: list[tuple[str, Mapping[str, object]]] = []
         if not known.last_number:
             new_rows.append(("experiment", values(self._catalogue.experiment_row())))
         new_rows += [("events", values(row)) for row in events]

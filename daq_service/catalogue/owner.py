@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from sqlalchemy import Connection, Engine, Table, select
 
@@ -80,12 +79,12 @@ def _other_versions(connection: Connection, settings: Settings) -> list[str]:
     ]
 
 
-def _newest(connection: Connection, table: Table) -> Any:
+def _newest(connection: Connection, table: Table) -> object:
     """Return the extractor version of the newest row."""
     return connection.execute(select(table.c.extractor_version).order_by(table.c.id.desc()).limit(1)).scalar()
 
 
-def _twin_version(connection: Connection) -> Any:
+def _twin_version(connection: Connection) -> object:
     """Return the twin version of the last recorder; "1" if none was stored."""
     started = select(events.c.payload).where(events.c.kind == "recorder_started").order_by(events.c.id.desc())
     payload = connection.execute(started.limit(1)).scalar()

@@ -17,7 +17,7 @@ from hardware_drivers.units import unit_of
 Form = Literal["number", "integer", "truth", "time", "text", "nested"]
 Purposes = Literal["planned", "confirmation", "any"]
 """Selected sets: scheduled sets, unscheduled sets, or both."""
-_FORMS: dict[Any, Form] = {float: "number", int: "integer", bool: "truth", str: "text"}
+_FORMS: dict[object, Form] = {float: "number", int: "integer", bool: "truth", str: "text"}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,7 +65,7 @@ PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
 """Values of nested columns as columns of tables, where the nested ones are JSON text."""
 
 
-def with_parts(kind: type[Row], row: Mapping[str, Any]) -> dict[str, Any]:
+def with_parts(kind: type[Row], row: Mapping[str, object]) -> dict[str, object]:
     """Add the columns of `PARTS` to a row; None for missing values."""
     extended = dict(row)
     for path, column in PARTS.get(kind, {}).items():
@@ -92,7 +92,7 @@ def described_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
     return (*columns.values(), *ADDED_COLUMNS.get(kind, ()), *PARTS.get(kind, {}).values())
 
 
-def _form(of_type: Any) -> Form:
+def _form(of_type: object) -> Form:
     """Return the form of a column's type."""
     plain = next((kind for kind in get_args(of_type) if kind is not NoneType), of_type)
     if get_origin(of_type) is Literal or get_origin(plain) is Literal:

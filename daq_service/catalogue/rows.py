@@ -240,7 +240,7 @@ class AssessmentRow(Row):
     ] = None
     cause_probability: Annotated[float | None, "Of that cause, or of the likeliest"] = None
     cause_told: Annotated[
-        dict[str, Any] | None,
+        dict[str, object] | None,
         "Sentence and action for operators, probability of every cause and of a step, relative changes",
     ] = None
     confirms: Annotated[
@@ -318,7 +318,7 @@ class CommandRow(Row):
     id: int
     wall_utc_ns: int
     author: str
-    kind: str  # "finish_now", "stop", "hold", "retire", ...
+    kind: str  # "finish_now", "stop", "pause", "disable", ...
     arguments: dict[str, Any]
     state: CommandState
     result: str | None = None
@@ -388,7 +388,7 @@ def values(row: Row) -> dict[str, Any]:
     return {name: getattr(row, name) for name in row.__slots__}
 
 
-def payload_of(row: Row, *, last: str = "") -> dict[str, Any]:
+def payload_of(row: Row, *, last: str = "") -> dict[str, object]:
     """Return the row as payload of its event: without a missing id, column ``last`` at the end."""
     columns = {name: value for name, value in values(row).items() if name != "id" or value is not None}
     return {name: columns[name] for name in sorted(columns, key=last.__eq__)}

@@ -391,7 +391,7 @@ def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
     return row_id
 
 
-def _ids(rows: Iterable[Any]) -> list[int]:
+def _ids(rows: Iterable[object]) -> list[int]:
     """Return the ids of rows."""
     return [row.id for row in rows]
 

@@ -14,7 +14,7 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from daq_service.catalogue import check_owner
 from daq_service.cli.terminal import ProgressReport
@@ -67,7 +67,7 @@ SWEPT_BY_PYTHON = "ignore:resource_tracker:UserWarning"
 STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
 
 
-def child_code(carry_out: Callable[..., int], options: Mapping[str, Any]) -> int:
+def child_code(carry_out: Callable[..., int], options: Mapping[str, object]) -> int:
     """Return the exit code of a child after sending it to the supervisor.
 
     Raises
@@ -177,6 +177,7 @@ def record_alone(
     supervised: bool,
 ) -> int:
     """Run the recorder until the schedule ends or a person stops it."""
+    from daq_service.recording.resources import SessionOptions
     from daq_service.recording.session import record
 
     settings, folder = settings_and_folder(config, data_dir)
@@ -198,12 +199,14 @@ def record_alone(
                 folder,
                 partial(_open_rig_to_stay, report),
                 stop=stop,
-                restart_reason=restart_reason,
                 report=report,
-                linger=linger,
-                unsupervised=abandoned,
-                acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
-                remote_drive=drive,
+                options=SessionOptions(
+                    restart_reason=restart_reason,
+                    linger=linger,
+                    unsupervised=abandoned,
+                    acknowledged=_print_acknowledgement if log_json else lambda shot_id: None,
+                    remote_drive=drive,
+                ),
             )
         except SolimonError as error:
             log.error("%s", error)
@@ -239,7 +242,7 @@ def _print_acknowledgement(shot_id: int) -> None:
 
 def start_drive(settings: Settings, folder: Path) -> subprocess.Popen[bytes]:
     """Start the supply process so that it outlives this one, with the present settings."""
-    command = [*PROGRAM, "drive", "--data-dir", str(folder), "--for-recorder"]
+    command = [*PROGRAM, "supply-process", "--data-dir", str(folder), "--for-recorder"]
     return start_detached(command, settings.model_dump_json().encode())
 
 
@@ -296,7 +299,7 @@ def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: boo
         prepare_data_folder(folder)
     parameters = settings.rig.driven
     if parameters is None:
-        raise UsageError("this configuration has no supply; there is nothing to drive without [rig.supply]")
+        raise UsageError("this configuration has no supply; add the table [rig.supply]")
     with log_in_thread(folder / "logs" / "drive.log"), stop_on_signals() as stop:
         try:
             was_left = run_supply_process(

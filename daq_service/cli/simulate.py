@@ -6,7 +6,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import click
 
@@ -57,7 +57,7 @@ def print_simulation(
     sweeps: tuple[str, ...],
     sweep_file: Path | None,
     as_json: bool,
-    **options: Any,
+    **options: object,
 ) -> None:
     """Run the command."""
     settings = load_settings(config)
@@ -126,7 +126,7 @@ def _specimen(
     tilt_rad: float | None,
 ) -> Specimen:
     """Return the specimen with the options applied."""
-    place: Any = settings
+    place: object = settings
     if position is not None:
         if position not in settings.positions:
             raise ValueError(
@@ -155,7 +155,7 @@ def _grid(text: str) -> list[float]:
 
 def _shot(
     model: str, chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Compute one row: chain and plate integrated together, or Zener's impact of the last sphere."""
     given = {"depth_fraction": patch.depth_fraction, "drop_height_m": chain.drop_height_m}
     if model == "zener":
@@ -163,7 +163,7 @@ def _shot(
     return {**coupled_numbers(coupled_shot(chain, plate, patch)), **given, "tilt_rad": chain.tilt_rad}
 
 
-def _print_table(rows: list[dict[str, Any]], columns: Columns, note: str) -> None:
+def _print_table(rows: list[dict[str, object]], columns: Columns, note: str) -> None:
     """Print the table of shots."""
     click.echo("  ".join(f"{title:>9}" for _, title, _, _ in columns))
     click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>9}" for _, _, unit, _ in columns))

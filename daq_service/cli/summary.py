@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
 
 from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import open_catalogue
@@ -24,7 +23,7 @@ SPLIT_H = 100.0
 """The paper counts outliers after 100 h."""
 
 
-def summarise_run(settings: Settings, folder: Path) -> dict[str, Any]:
+def summarise_run(settings: Settings, folder: Path) -> dict[str, object]:
     """Read sets, shots, and for each position alarm hour, outliers, last features and limit."""
     with open_catalogue(folder, writer=False) as catalogue:
         counts = catalogue.counts()
@@ -51,7 +50,7 @@ def _cost(catalogue: Catalogue) -> dict[str, float] | None:
     return rows[-1].payload["cost"] if rows else None
 
 
-def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any]:
+def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, object]:
     """Return the summary of a solitary-wave transducer."""
     assessments = catalogue.rows(AssessmentRow, position=position)
     assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
@@ -76,7 +75,7 @@ def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[s
     }
 
 
-def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, Any]:
+def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, object]:
     """Return the summary of an ultrasonic probe."""
     rows = [row for row in catalogue.rows(ThicknessRow, position=position) if row.thickness_m is not None]
     last = rows[-1] if rows else None
@@ -127,7 +126,7 @@ def _fraction(outliers: Iterable[bool | None]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
+def summary_lines(summary: dict[str, object], folder: Path) -> Iterator[str]:
     """Yield the lines of the summary's table."""
     yield (
         f"{summary['sets']} sets, {summary['shots']} solitary-wave shots, {summary['pulse_echo_records']} "
@@ -154,7 +153,7 @@ def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     yield f"files: {folder / 'sets'}"
 
 
-def _limit(row: dict[str, Any]) -> str:
+def _limit(row: dict[str, object]) -> str:
     if row["n_baseline"] is None:
         return "-"
     if row["limit"] is None:

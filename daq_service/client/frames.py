@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import pandas as pd
 
@@ -13,7 +12,7 @@ from daq_service.catalogue.rows import Row
 DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "boolean", "text": "object"}
 
 
-def frame(kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any]) -> pd.DataFrame:
+def frame(kind: type[Row], items: Sequence[dict[str, object]], as_of: dict[str, object]) -> pd.DataFrame:
     """Return a table of rows; a missing value is NaN, NaT or NA.
 
     Returns
@@ -32,7 +31,7 @@ def frame(kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any
     return table
 
 
-def _series(column: PublishedColumn, items: Sequence[dict[str, Any]]) -> pd.Series[Any]:
+def _series(column: PublishedColumn, items: Sequence[dict[str, object]]) -> pd.Series[object]:
     values = [item[column.name] for item in items]
     if column.form == "time":
         return pd.to_datetime(pd.Series(values, dtype="object"), utc=True, format="ISO8601").astype(

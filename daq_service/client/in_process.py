@@ -5,7 +5,6 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import httpx
 from anyio.from_thread import start_blocking_portal
@@ -36,7 +35,7 @@ def folder_connection(folder: Path) -> Connection:
     events = CatalogueEvents(context_of(app).catalogue_access)
     closed = threading.Event()
 
-    def follow_events(after: int, topics: str | None) -> Iterator[dict[str, Any]]:
+    def follow_events(after: int, topics: str | None) -> Iterator[dict[str, object]]:
         selected_topics = None if topics is None else set(topics.split(","))
         while not closed.is_set():
             new_events = events.after(after, PAGE_EVENTS)
@@ -53,7 +52,7 @@ def folder_connection(folder: Path) -> Connection:
 class InProcess(httpx.BaseTransport):
     """Transport of requests to an application, on a separate event loop, as a notebook already runs one."""
 
-    def __init__(self, app: Any) -> None:
+    def __init__(self, app: object) -> None:
         self._app = app
         self._asgi = httpx.ASGITransport(app)
         self._portal_context = start_blocking_portal()

@@ -64,7 +64,7 @@ class RenewBaseline(TransducerOrder):
     def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
         reason, hint = (
             f"{position} is retired and takes no sets",
-            "Reinstate it first, then renew its baseline.",
+            "Enable it first, then renew its baseline.",
         )
         return (
             None if retired is None else Refusal(reason, hint, f"{reason[0].upper()}{reason[1:]}: {retired}.")

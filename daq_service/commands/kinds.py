@@ -369,41 +369,41 @@ class WithdrawAnnotation(DeskOrder):
         return "withdrawn"
 
 
-class Hold(Order):
-    """Strike nothing until the test is released, not even after a restart."""
+class Pause(Order):
+    """Pause striking until the test is resumed, also after a restart."""
 
     rows_only = True
-    kind: Literal["hold"]
+    kind: Literal["pause"]
     arguments: ReasonArguments
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
-        reason = f"the test is already on hold: {facts.held}"
-        return Refusal(reason, "Release it first; a hold has one reason.") if facts.held else None
+        reason = f"the test is already paused: {facts.held}"
+        return Refusal(reason, "Resume it first; a pause has one reason.") if facts.held else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         text = f"held by {self.author}: {self.arguments.note}"
         test.store_event("hold", {"held": text, "author": self.author})
-        return "on hold: nothing strikes until the test is released; sets that fall due are missed"
+        return "paused: nothing strikes until the test is resumed; due sets are missed"
 
 
-class Release(Order):
-    """End a hold: the next due set is taken."""
+class Resume(Order):
+    """Resume a paused test with the next due set."""
 
     rows_only = True
-    kind: Literal["release"]
+    kind: Literal["resume"]
     arguments: NoteArguments = NoteArguments()
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
-        hint = "Only a test on hold can be released."
-        return None if facts.held else Refusal("the test is not on hold", hint)
+        hint = "Only a paused test can be resumed."
+        return None if facts.held else Refusal("the test is not paused", hint)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         test.store_event("release", {"held": "", "author": self.author, "note": self.arguments.note})
-        return "released: the next due set is taken"
+        return "resumed: the next due set is taken"
 
 
 class TrustClock(Order):
-    """Go on with the system's clock though it is doubted."""
+    """Trust the computer clock and continue the test."""
 
     kind: Literal["trust_clock"]
     arguments: NoteArguments = NoteArguments()
@@ -439,13 +439,13 @@ class TransducerOrder(Order):
         raise NotImplementedError
 
 
-class Retire(TransducerOrder):
-    """Strike a transducer no more; the others go on."""
+class Disable(TransducerOrder):
+    """Stop striking one transducer until it is enabled; the others continue."""
 
-    kind: Literal["retire"]
+    kind: Literal["disable"]
 
     def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
-        reason, hint = f"{position} is retired already", "Reinstate it when it is put right."
+        reason, hint = f"{position} is disabled already", "Enable it when it is repaired."
         return None if retired is None else Refusal(reason, hint, f"{reason}: {retired}.")
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
@@ -460,18 +460,18 @@ class Retire(TransducerOrder):
             proof={"command_id": order_id},
         )
         change = states.update(test.alarms.get((position, "retired")), condition, moment)
-        assert change is not None, "a position that is not retired has no such alarm standing"
+        assert change is not None, "a position that is not disabled has no such active alarm"
         test.change_alarms(moment, change)
-        return f"{position} strikes no more"
+        return f"{position} is disabled"
 
 
-class Reinstate(TransducerOrder):
-    """Let a retired transducer strike again: what was wrong is put right."""
+class Enable(TransducerOrder):
+    """Enable a disabled transducer from the next set."""
 
-    kind: Literal["reinstate"]
+    kind: Literal["enable"]
 
     def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
-        reason, hint = f"{position} is not retired", "/api/v1/transducers tells which are, and why."
+        reason, hint = f"{position} is not disabled", "/api/v1/transducers tells which are, and why."
         return Refusal(reason, hint) if retired is None else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
@@ -487,19 +487,19 @@ class Reinstate(TransducerOrder):
         return f"{position} strikes again from the next set"
 
 
-class Confirm(TransducerOrder):
-    """Strike a confirmation set beside the plan, outside chart and baseline."""
+class Strike(TransducerOrder):
+    """Take one unscheduled set at a transducer, outside control chart and baseline."""
 
-    kind: Literal["confirm"]
+    kind: Literal["strike"]
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
         if facts.held:
-            reason = f"the test is on hold: {facts.held}"
-            return Refusal(reason, "Release it when nobody's hands are in the rig any more.")
+            reason = f"the test is paused: {facts.held}"
+            return Refusal(reason, "Resume it when all hands are out of the rig.")
         return super()._forbidden(facts)
 
     def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
-        reason, hint = f"{position} is retired", "Reinstate it when it is put right."
+        reason, hint = f"{position} is disabled", "Enable it when it is repaired."
         return None if retired is None else Refusal(reason, hint, f"{reason}: {retired}.")
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, Any, get_args
+from typing import Annotated, get_args
 
 from pydantic import Field, ValidationError
 
@@ -11,14 +11,14 @@ from daq_service.commands.baselines import ApproveBaseline, RenewBaseline
 from daq_service.commands.kinds import (
     AcknowledgeAlarm,
     Annotate,
-    Confirm,
+    Disable,
+    Enable,
     FinishNow,
-    Hold,
     Order,
-    Reinstate,
-    Release,
-    Retire,
+    Pause,
+    Resume,
     Stop,
+    Strike,
     SupplyOff,
     SupplyOn,
     TrustClock,
@@ -31,12 +31,12 @@ AnyOrder = Annotated[
     FinishNow
     | Stop
     | AcknowledgeAlarm
-    | Hold
-    | Release
+    | Pause
+    | Resume
     | TrustClock
-    | Retire
-    | Reinstate
-    | Confirm
+    | Disable
+    | Enable
+    | Strike
     | SupplyOn
     | SupplyOff
     | Annotate
@@ -54,7 +54,7 @@ KINDS: Mapping[str, type[Order]] = {
 }
 
 
-def parse_command(kind: str, author: str, arguments: Mapping[str, Any]) -> Order:
+def parse_command(kind: str, author: str, arguments: Mapping[str, object]) -> Order:
     """Parse and validate a command that does not come as JSON from the web service.
 
     Raises

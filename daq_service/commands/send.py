@@ -1,4 +1,4 @@
-"""Send a command to the recorder from the command line, such as ``hold`` or ``supply``.
+"""Send a command to the recorder from the command line, such as ``pause`` or ``supply``.
 
 It writes a row of ``commands`` and waits for the recorder's answer; only the recorder decides. A command that
 is not started in time expires and is not executed later.

@@ -20,7 +20,7 @@ from dataclasses import asdict, replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from daq_service.clock import WallClock, boot_name
 from daq_service.corrosion_drive.channel import Message, Server
@@ -106,7 +106,7 @@ class DriveProcess:
 
     def __init__(
         self,
-        take_lock: Callable[[], AbstractContextManager[Any]],
+        take_lock: Callable[[], AbstractContextManager[object]],
         open_supply: Callable[[], AbstractContextManager[PowerSupply]],
         parameters: DriveParameters,
         folder: Path,
@@ -303,7 +303,7 @@ class DriveProcess:
         if request["do"] == "ping":
             return {"id": request["id"]}
         self._heard_ns = self._met_ns = self._clock.mono_ns()
-        error_entry: dict[str, Any] = {}
+        error_entry: dict[str, object] = {}
         try:
             self._execute(request)
         except (InstrumentError, ValueError, LookupError, TypeError) as error:

@@ -82,34 +82,29 @@ CONFIGURATION_FILE = "configuration.json"
 BACKUP_FILE = "backup.json"
 """Source test of a folder that `solimon backup` made."""
 
-OWN_NAMES = frozenset(
+SOURCES = frozenset(
     {
         "audit.jsonl",
-        "audit.lock",
         BACKUP_FILE,
         "catalogue.sqlite",
-        CONFIGURATION_FILE,
         "drive.json",
-        "drive.lock",
         EXPERIMENT_FILE,
-        "heartbeat.json",
         HISTORY_FILE,
-        "recorder.lock",
-        "sets",
         "journal",
-        "live",
         "logs",
         "notifications.jsonl",
-        "notifications.lock",
-        "notifier.lock",
         "quarantine",
-        "reserve",
-        "tiles",
+        "sets",
         "tokens.json",
-        "tokens.lock",
-        "web_heartbeat.json",
     }
 )
+"""Files and folders that nothing can make again."""
+LOCKS = frozenset(
+    {"audit.lock", "drive.lock", "notifications.lock", "notifier.lock", "recorder.lock", "tokens.lock"}
+)
+CACHES = frozenset({CONFIGURATION_FILE, "heartbeat.json", "live", "reserve", "tiles", "web_heartbeat.json"})
+"""Files and folders that may be deleted at any time: solimon makes them again or does without them."""
+OWN_NAMES = SOURCES | LOCKS | CACHES
 LOCK_FILE = "recorder.lock"
 DRIVE_LOCK, DRIVE_FILE = "drive.lock", "drive.json"
 WRITE_TEST = ".write-test-"

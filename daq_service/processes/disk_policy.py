@@ -1,11 +1,8 @@
-"""Free space of the volume of a data folder: levels, forecast, and the reserve for an orderly stop."""
+"""Free space of the volume of a data folder: levels and forecast."""
 
 from __future__ import annotations
 
-import logging
-import os
 import shutil
-import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,17 +13,12 @@ from daq_service.archive.waterfall.tiles import kept_cells, planned_bytes
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.settings.tree import Settings, StorageSettings
-from daq_service.shared_file import O_BINARY, remove_quietly, write_all
-
-log = logging.getLogger(__name__)
 
 RESERVE_FILE = "reserve"
-LOOK_EVERY_S = 10.0
 LEAVES_AT = 1.1
 """Hysteresis: a level ends a tenth above its limit."""
 Level = Literal["ample", "warn", "alarm", "stop"]
 LEVELS: tuple[Level, ...] = ("ample", "warn", "alarm", "stop")
-_CHUNK = bytes(2**20)
 
 Usage = Callable[[Path], tuple[int, int]]
 """Returns the free and the total bytes of the volume of a folder."""
@@ -125,81 +117,3 @@ def outlook(folder: Path, settings: Settings, catalogue: Catalogue, usage: Usage
         needed_bytes=round(len(remaining_h) * bytes_per_set),
         full_at_h=remaining_h[n_fitting] if n_fitting < len(remaining_h) else None,
     )
-
-
-class DiskWatch:
-    """Periodic check of the volume, and owner of the reserve file.
-
-    Parameters
-    ----------
-    usage
-        Free and total bytes; default: of the operating system.
-
-    Attributes
-    ----------
-    space
-        Newest measurement.
-    """
-
-    def __init__(
-        self,
-        folder: Path,
-        settings: StorageSettings,
-        *,
-        usage: Usage = disk_usage,
-        mono_s: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._path, self._settings = folder / RESERVE_FILE, settings
-        self._usage, self._mono_s = usage, mono_s
-        self._next_s = -float("inf")
-        self._reserve_bytes = settings.reserve_mb * 10**6
-        self.space = DiskSpace(free_bytes=0, total_bytes=0, level="ample")
-
-    def check(self) -> DiskSpace | None:
-        """Measure if it is due; return the space where its level has changed, else None."""
-        if self._mono_s() < self._next_s:
-            return None
-        self._next_s, before = self._mono_s() + LOOK_EVERY_S, self.space.level
-        try:
-            self.space = disk_space(self._path.parent, self._settings, before=before, usage=self._usage)
-        except OSError as error:  # the folder is missing: writing there reports it
-            log.debug("cannot ask how full %s is: %s", self._path.parent, error)
-            return None
-        if self.space.free_bytes < self._reserve_bytes // 4:
-            self.free_reserve()
-        elif self.space.level != "stop" and self.space.free_bytes > 2 * self._reserve_bytes:
-            self._allocate_reserve()
-        return None if self.space.level == before else self.space
-
-    @property
-    def refusal(self) -> str:
-        """Reason why nothing is stored now; empty: there is room."""
-        return refusal(self.space, self._settings)
-
-    def free_reserve(self) -> None:
-        """Delete the reserve file, so that the data waiting in memory fit on the disk."""
-        remove_quietly(self._path)
-
-    def _allocate_reserve(self) -> None:
-        """Allocate the reserve file, if it does not exist."""
-        try:
-            if not self._reserve_bytes or self._path.stat().st_size == self._reserve_bytes:
-                return
-        except FileNotFoundError:
-            pass
-        except OSError as error:
-            log.warning("the reserve %s cannot be looked at: %s", self._path, error)
-            return
-        try:
-            descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_BINARY, 0o644)
-            try:
-                if hasattr(os, "posix_fallocate"):
-                    os.posix_fallocate(descriptor, 0, self._reserve_bytes)
-                else:
-                    for first in range(0, self._reserve_bytes, len(_CHUNK)):
-                        write_all(descriptor, [memoryview(_CHUNK)[: self._reserve_bytes - first]])
-            finally:
-                os.close(descriptor)
-        except OSError as error:
-            log.warning("no reserve of %d MB is kept: %s", self._reserve_bytes // 10**6, error)
-            self.free_reserve()

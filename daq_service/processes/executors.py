@@ -16,7 +16,6 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExec
 from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import version
-from typing import Any
 from urllib.parse import urlsplit
 
 from daq_service.errors import BusyError, UsageError
@@ -104,13 +103,13 @@ def worker_lost() -> tuple[type[Exception], ...]:
     return (BrokenExecutor,) if distributed is None else (BrokenExecutor, distributed.KilledWorker)
 
 
-class _Task(Future[Any]):
+class _Task(Future[object]):
     """Task that may be submitted several times."""
 
-    def __init__(self, call: Callable[[], Any]) -> None:
+    def __init__(self, call: Callable[[], object]) -> None:
         super().__init__()
         self.call, self.tries = call, 0
-        self.attempt: Future[Any] | None = None
+        self.attempt: Future[object] | None = None
 
     def cancel(self) -> bool:
         """Cancel the task unless it runs."""
@@ -127,7 +126,7 @@ class _ProcessExecutor(Executor):
         self._workers, self._lock, self._closed = min(workers, MOST_PROCESSES), threading.Lock(), False
         self._pool = self._new_pool()
 
-    def submit(self, work: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
+    def submit(self, work: Callable[..., object], /, *args: object, **named: object) -> Future[object]:
         task = _Task(partial(work, *args, **named))
         self._submit_attempt(task)
         return task
@@ -157,7 +156,7 @@ class _ProcessExecutor(Executor):
                 self._pool = self._new_pool()
             return self._pool
 
-    def _finish_attempt(self, task: _Task, pool: ProcessPoolExecutor, attempt: Future[Any]) -> None:
+    def _finish_attempt(self, task: _Task, pool: ProcessPoolExecutor, attempt: Future[object]) -> None:
         if attempt.cancelled():
             Future.cancel(task)
             return
@@ -174,19 +173,19 @@ class _ProcessExecutor(Executor):
 class _ClusterExecutor(Executor):
     """Workers of a Dask cluster; its scheduler repeats the task of a worker that died on another one."""
 
-    def __init__(self, client: Any) -> None:
+    def __init__(self, client: object) -> None:
         self._executor = client.get_executor(pure=False)
         self.n_workers = sum(client.nthreads().values())
 
-    def submit(self, work: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
-        future: Future[Any] = self._executor.submit(_in_one_thread, work, *args, **named)
+    def submit(self, work: Callable[..., object], /, *args: object, **named: object) -> Future[object]:
+        future: Future[object] = self._executor.submit(_in_one_thread, work, *args, **named)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         self._executor.shutdown(wait=wait and not cancel_futures)
 
 
-def _in_one_thread(work: Callable[..., Any], *args: Any, **named: Any) -> Any:
+def _in_one_thread(work: Callable[..., object], *args: object, **named: object) -> object:
     with one_blas_thread():
         return work(*args, **named)
 
@@ -202,7 +201,7 @@ def _cluster(name: str) -> Iterator[Executor]:
     address = f"tcp://{host_and_port[0]}:{host_and_port[1]}"
     try:  # a client without a scheduler leaves its thread behind
         socket.create_connection(host_and_port, timeout=CONNECTED_WITHIN_S).close()
-        client: Any = Client(address, timeout=CONNECTED_WITHIN_S, set_as_default=False)
+        client: object = Client(address, timeout=CONNECTED_WITHIN_S, set_as_default=False)
     except OSError as error:
         raise BusyError(
             f"no Dask scheduler answers at {address} within {CONNECTED_WITHIN_S:g} s; start `dask scheduler` "

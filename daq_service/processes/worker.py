@@ -9,7 +9,6 @@ import sys
 import threading
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from typing import Any
 
 
 def leave_with_parent() -> None:
@@ -29,7 +28,9 @@ def leave_with_parent() -> None:
     threading.Thread(target=leave, name="leave-with-parent", daemon=True).start()
 
 
-def one_worker(initializer: Callable[..., None] = leave_with_parent, *arguments: Any) -> ProcessPoolExecutor:
+def one_worker(
+    initializer: Callable[..., None] = leave_with_parent, *arguments: object
+) -> ProcessPoolExecutor:
     """Start a pool of one process, which its owner shuts down.
 
     Parameters

@@ -1,1 +1,1 @@
-"""The line in reading order: session, recorder, safekeeping, ledger; and what it shows while it runs."""
+"""The line from strike to alarm: `recorder` is read first; `session` opens it, `assembly` makes its parts."""

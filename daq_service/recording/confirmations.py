@@ -20,6 +20,7 @@ from daq_service.assessment.confirmation import (
     longest_set_ns,
     newest_confirmation,
     next_unscheduled_number,
+    overlap_reason,
     read_confirmations,
     rejection_reason,
     summarize_confirmation,
@@ -107,6 +108,17 @@ class Confirmations:
             set_ns=self.set_ns,
         ):
             self.add(reason, planned, position, moment, transaction)
+
+    def order(self, planned: DueSet, position: str, author: str, note: str, moment: Moment) -> Transaction:
+        """Return the request of a person; a ValueError states why the set cannot be taken."""
+        if too_late := overlap_reason(self.room_ns(planned, moment.utc_ns), self.set_ns):
+            raise ValueError(f"{too_late}: that one says the same")
+        transaction = Transaction()
+        if self.add(note, planned, position, moment, transaction, author) is None:
+            raise ValueError(
+                "there are too many confirmation sets since the last planned set; wait for the next one"
+            )
+        return transaction
 
     def add(
         self,

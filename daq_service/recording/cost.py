@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
 STAGES = (
@@ -33,6 +33,12 @@ class Cost:
             yield
         finally:
             self.seconds[stage] += time.perf_counter() - start
+
+    def add_set(self, seconds: Mapping[str, float]) -> None:
+        """Count a set that was stored, and add the seconds of its stages."""
+        self.sets += 1
+        for stage, value in seconds.items():
+            self.seconds[stage] += value
 
     def as_row(self) -> dict[str, float]:
         """Return the sets, and seconds by stage rounded to the millisecond."""

@@ -45,6 +45,15 @@ class Opening:
     text: str
 
 
+def is_transient(trouble: InstrumentError, *, proven: bool) -> bool:
+    """Whether the next set may go better.
+
+    A board that is busy or gone may be free or back by then; of one that has taken a complete set in this
+    folder (``proven``) no error is final.
+    """
+    return proven or isinstance(trouble, InstrumentBusyError | ConnectionLostError)
+
+
 class OpeningAlarm:
     """Raises ``rig_unavailable`` while the rig cannot be opened, and clears what it raised.
 

@@ -3,124 +3,61 @@
 from __future__ import annotations
 
 import logging
-import threading
-import time
 from collections.abc import Callable, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
 from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
 from daq_service.alarms.process_trouble import web_condition
-from daq_service.alarms.states import Condition, Moment
-from daq_service.archive import Archive, SetRecord, StoredSet
+from daq_service.alarms.states import Condition
+from daq_service.archive import SetRecord, StoredSet
 from daq_service.assessment.transaction import Transaction
-from daq_service.background.finalize_sets import SetFinalizer
-from daq_service.background.tiles import TileMaker
-from daq_service.background.verification import IdleVerification
+from daq_service.background.task import BackgroundTask
 from daq_service.background.write_retry_queue import PASSING, Trouble, WriteRetryQueue
-from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.history import HistoryFollower
-from daq_service.processes.disk_policy import DiskWatch
-from daq_service.processes.heartbeat import WebWatch
-from daq_service.recording.computer_load import ComputerLoadWatch
+from daq_service.processes.disk_policy import DiskSpace
+from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
 
 log = logging.getLogger(__name__)
 
-WAIT_FOR_FILES_S = 60.0
-"""A file takes some hundredths of a second; where it takes this long, the journal keeps its set."""
-MOST_UNDER_WAY = 40
-"""Whole sets whose files are being made: two segments of the journal."""
-LOOK_EVERY_S = 0.1
-"""How often a recorder that can do nothing else looks for orders, and whether the disk takes what waits."""
+OVERSLEPT = "its time went by while the recorder ran: the computer slept, or what came before took too long"
 
 DISK_SPACE = "disk_space"
 """Event at each change of how much of the volume is free (`disk_policy.LEVELS`)."""
 
-Idle = Callable[[], bool]
-"""Beats, listens to the operator and lets what waits be stored; False when the recorder shall stop."""
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Helpers:
-    """Work between sets; each part is optional.
+class Persistence:
+    """Where the recorder leaves what it has taken, and the list of background tasks.
 
     Attributes
     ----------
-    compaction
-        Gives sets of the journal their files.
-    idle_check
-        Reads stored sets while nothing is due.
-    tiling
-        Adds sets to the tiles of the waterfall.
-    history
-        Follows the catalogue, so that it can be made again.
-    disk
-        Watches the volume.
-    machine
-        Reads with each set what the test costs its computer.
-    web
-        Watches the web service of the folder.
-    acknowledged
-        Called with the id of each shot (`Shot.sequence`) once it is durable.
-    """
-
-    compaction: SetFinalizer | None = None
-    idle_check: IdleVerification | None = None
-    tiling: TileMaker | None = None
-    history: HistoryFollower | None = None
-    disk: DiskWatch | None = None
-    machine: ComputerLoadWatch | None = None
-    web: WebWatch | None = None
-    acknowledged: Callable[[int], None] = lambda shot_id: None
-
-
-class Persistence:
-    """Where the recorder leaves what it has taken.
-
-    Parameters
-    ----------
-    limit_bytes
-        Memory that sets may take while no disk takes them.
-    moment
-        Now, for alarms and events.
     on_trouble
-        Called when the disk begins or ceases to refuse.
-    look_every_s
-        Pause between two looks while everything else waits.
+        Called when the disk starts or stops to refuse.
     """
 
-    def __init__(
-        self,
-        archive: Archive,
-        catalogue: RecorderCatalogue,
-        assessor: SetAssessor,
-        helpers: Helpers,
-        *,
-        limit_bytes: int,
-        stop: threading.Event,
-        moment: Callable[[], Moment],
-        on_trouble: Callable[[], None],
-        look_every_s: float = LOOK_EVERY_S,
-        mono_s: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self._archive, self._catalogue, self._set_assessor = archive, catalogue, assessor
-        self._finalizer, self._verification = helpers.compaction, helpers.idle_check
-        self._tiles = helpers.tiling
-        self._history, self._disk, self._acknowledged = helpers.history, helpers.disk, helpers.acknowledged
-        self._stop, self._moment, self._mono_s = stop, moment, mono_s
-        self._notify_trouble, self._look_every_s = on_trouble, look_every_s
-        self._web = helpers.web
+    def __init__(self, resources: Resources, assessor: SetAssessor) -> None:
+        self._archive, self._catalogue, self._set_assessor = resources.archive, resources.catalogue, assessor
+        self._finalizer, self._verification = resources.finalizer, resources.verification
+        self._disk, self._web = resources.disk, resources.web
+        self._acknowledged = resources.options.acknowledged
+        self._stop, self._moment, self._host = resources.stop, resources.moment, resources.host
         self._web_is_missing: bool | None = None
         self._reported_ids: set[int] = set()
         self._reported_corruption: dict[str, str] = {}
         self._reported_trouble = self._reported_finalizing = ""
         self._trouble_until_ns = -1
         self._retry_queue = WriteRetryQueue(
-            limit_bytes=limit_bytes, on_change=self._report_trouble, refusal=self._refusal, mono_s=mono_s
+            limit_bytes=resources.settings.storage.memory_mb * 10**6,
+            on_change=self._report_trouble,
+            refusal=self._refusal,
+            mono_s=self._host.mono_s,
         )
+        self._tasks: list[BackgroundTask] = [self._retry_queue, *resources.tasks]
+        if self._disk is not None:
+            self._disk.on_change = self._report_space
+        self.on_trouble: Callable[[], None] = lambda: None
 
     @property
     def trouble(self) -> Trouble | None:
@@ -139,10 +76,10 @@ class Persistence:
             return ""
         return f"{len(self._retry_queue)} jobs wait in memory for the disk: {self.trouble.message}"
 
-    def hindered(self, since_utc_ns: int) -> str:
-        """State what the disk, or the lock of the catalogue, refused since then; empty: nothing."""
-        is_over = self.trouble is None and self._trouble_until_ns < since_utc_ns
-        return "" if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
+    def overdue_reason(self, due_utc_ns: int) -> str:
+        """State why the time of a set went by: the disk or the catalogue refused, or the computer slept."""
+        is_over = self.trouble is None and self._trouble_until_ns < due_utc_ns
+        return OVERSLEPT if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
 
     # Shots and sets -------------------------------------------------------------------------------
 
@@ -179,29 +116,24 @@ class Persistence:
         self._reported_ids.difference_update(stored.crc32)
         return stored
 
-    def post(self, build: Callable[[], Transaction], *, n_bytes: int = 0, stored: int | None = None) -> None:
-        """Commit what is built, in order; what is built once is committed until it is stored.
-
-        Parameters
-        ----------
-        stored
-            Index of a set with records, which gets its file afterwards.
-        """
+    def post(
+        self, build: Callable[[], Transaction], *then: Callable[[Transaction], None], n_bytes: int = 0
+    ) -> None:
+        """Build a transaction once and pass it on, in order; repeat the latter until the disk takes it."""
         built: list[Transaction] = []
 
         def job() -> None:
             if not built:
                 built.append(build())
-            self._set_assessor.commit(built[0])
-            if stored is not None:
-                self.file(stored)
+            for pass_on in then:
+                pass_on(built[0])
 
         self._retry_queue.put(job, n_bytes=n_bytes)
 
-    def file(self, set_index: int) -> None:
-        """Have a whole set of the journal get its file."""
-        if self._finalizer is not None:
-            self._finalizer.put(set_index)
+    def after_set(self, set_index: int) -> None:
+        """Let the background tasks know of a set whose rows are stored, so that it gets its file."""
+        for task in self._tasks:
+            task.after_set(set_index)
 
     def do(self, job: Callable[[], None]) -> None:
         """Do something that the disk may refuse, when all before it is done."""
@@ -218,26 +150,32 @@ class Persistence:
 
     # While the line is idle -----------------------------------------------------------------------
 
-    def work(self, free_s: float) -> None:
-        """Store what waits, make files, follow the history, and read stored sets if there is time.
+    def run_for(self, seconds: float) -> None:
+        """Run each background task; while the disk takes nothing, none that can wait.
 
         Parameters
         ----------
-        free_s
+        seconds
             Time until the next set is due.
         """
-        self._retry_queue.work()
+        for task in self._tasks:
+            task.run_for(seconds if self.trouble is None else 0.0)
         if self._finalizer is not None:
-            self._finalizer.work()
             self._report_finalizing(self._finalizer.trouble)
-        if self._history is not None:
-            self._history.follow()
-        if self._verification is not None and self.trouble is None:
-            self._verification.work(free_s)
         if self.trouble is None:
             self._report_corruption()
-        if self._tiles is not None:
-            self._tiles.work(free_s)
+
+    def watch(self) -> None:
+        """Watch the volume and the web service, also between shots."""
+        if self._disk is not None:
+            self._disk.run_for(0.0)
+        is_missing = None if self._web is None else self._web.is_missing()
+        if is_missing in (None, self._web_is_missing):
+            return
+        moment = self._moment()
+        with suppress(*PASSING):  # the next look stores it
+            self._set_assessor.update_alarm(web_condition(moment.due_h, present=is_missing), moment)
+            self._web_is_missing = is_missing
 
     def start_verification(self) -> None:
         """Find stored sets that are missing; report them and the files in quarantine."""
@@ -247,36 +185,13 @@ class Persistence:
             self._verification.begin(alarm.proof.get("damaged", {}) if alarm and stands else {})
         self._report_corruption(at_the_start=True)
 
-    def wait_for_the_disk(self, idle: Idle) -> None:
-        """Let nothing go on before everything is stored, but a stop."""
-        while self.trouble is not None and idle():
-            self._stop.wait(self._look_every_s)
+    def use_reserve(self) -> None:
+        """Store what waits in the space that is reserved for a stop; what no disk takes is lost."""
         if self.trouble is not None and self._disk is not None:
             self._disk.free_reserve()
-            self._retry_queue.work(at_once=True)
+            self._retry_queue.run_all()
         if self.trouble is not None:
             log.error("%d jobs are lost that no disk took: %s", len(self._retry_queue), self.trouble.message)
-
-    def wait_for_the_worker(self, idle: Idle) -> None:
-        """Let no simulated time outrun the files: journal and memory would grow with the test."""
-        while self._finalizer is not None and self._finalizer.n_under_way > MOST_UNDER_WAY and idle():
-            self._stop.wait(self._look_every_s / 10.0)
-
-    def wait_for_the_files(self, idle: Idle) -> None:
-        """At the end of a test its last sets get their files; after a stop the next recorder sees to that."""
-        if self._finalizer is None or self._stop.is_set():
-            return
-        until_s = self._mono_s() + WAIT_FOR_FILES_S
-        while idle() and self._mono_s() < until_s:
-            if not self._finalizer.waits:
-                break
-            self._finalizer.try_again()
-            self._stop.wait(self._look_every_s)
-
-    def leave(self) -> None:
-        """Let the history know the end."""
-        if self._history is not None:
-            self._history.follow(now=True)
 
     # Reports of trouble ---------------------------------------------------------------------------
 
@@ -284,11 +199,8 @@ class Persistence:
         """Why nothing is stored though the disk would take it; a stop may use the space that is left."""
         return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
 
-    def watch_disk(self) -> None:
-        """Tell how much room there is when that changes: an event at each level, an alarm at the last two."""
-        space = None if self._disk is None else self._disk.check()
-        if space is None:
-            return
+    def _report_space(self, space: DiskSpace) -> None:
+        """Report the level of the volume: an event at each change, an alarm at the last two."""
         log.warning("%s: level %s", space.description, space.level)
         self.say(DISK_SPACE, asdict(space))
         condition = space_condition(
@@ -305,16 +217,6 @@ class Persistence:
             log.warning("the alarm is stored later: %s", error)
             self._retry_queue.put(job)
 
-    def watch_web(self) -> None:
-        """Raise the alarm of a web service that is missing, and clear it when it responds."""
-        is_missing = None if self._web is None else self._web.is_missing()
-        if is_missing in (None, self._web_is_missing):
-            return
-        moment = self._moment()
-        with suppress(*PASSING):  # the next look stores it
-            self._set_assessor.update_alarm(web_condition(moment.due_h, present=is_missing), moment)
-            self._web_is_missing = is_missing
-
     def _report_trouble(self, trouble: Trouble | None) -> None:
         """Raise or clear the alarm if the catalogue accepts it; the heartbeat always reports the trouble."""
         self._trouble_until_ns = self._moment().utc_ns
@@ -330,7 +232,7 @@ class Persistence:
             self._store_alarm(storage_condition(self._reported_trouble, present=True))
             self._store_alarm(storage_condition(self._reported_trouble, present=False))
             self._reported_finalizing = ""  # what still has no file is reported again
-        self._notify_trouble()
+        self.on_trouble()
 
     def _report_finalizing(self, trouble: str) -> None:
         """Raise or clear the alarm of sets that get no file; nothing of them is at risk."""

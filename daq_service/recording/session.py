@@ -5,10 +5,9 @@ from __future__ import annotations
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
-from concurrent.futures import Executor
+from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, closing, suppress
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
@@ -18,6 +17,7 @@ from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, FolderArchive, Results, SetRecord, SetReference
 from daq_service.archive.waterfall.cells import anchors_of
 from daq_service.assessment.results_in_file import results_in
+from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
 from daq_service.background.tiles import TileMaker, add_record_to_tiles
@@ -29,20 +29,24 @@ from daq_service.catalogue.experiment_file import keep_experiment
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import SetRow
-from daq_service.clock import Before, SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
-from daq_service.commands.execution import LISTEN_EVERY_S
-from daq_service.corrosion_drive.remote import RemoteDrive
-from daq_service.processes.disk_policy import DiskWatch, Usage, disk_usage
+from daq_service.clock import SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
 from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
 from daq_service.processes.lost_catalogue import is_catalogue_lost
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import FAREWELLS, PROCESS_EVENTS
-from daq_service.processes.worker import one_worker
 from daq_service.recording.computer_load import ComputerLoadWatch
-from daq_service.recording.opening import WAITS_FOR_RIG_S, Opening, OpeningAlarm, open_patiently
-from daq_service.recording.persistence import Helpers
+from daq_service.recording.opening import Opening, OpeningAlarm, open_patiently
 from daq_service.recording.rebuild import rebuild
-from daq_service.recording.recorder import Recorder, Reporter
+from daq_service.recording.recorder import Recorder
+from daq_service.recording.resources import (
+    PLAIN,
+    THIS_COMPUTER,
+    Host,
+    Reporter,
+    Resources,
+    SessionOptions,
+    moment_at,
+)
 from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.settings.instruments import configured
 from daq_service.settings.tree import Settings
@@ -64,180 +68,155 @@ def record(
     *,
     stop: threading.Event,
     report: Reporter,
-    restart_reason: str = "",
-    linger: bool = False,
-    unsupervised: threading.Event | None = None,
-    acknowledged: Callable[[int], None] = lambda shot_id: None,
-    compaction_worker: Callable[[], Executor] = one_worker,
-    listen_every_s: float = LISTEN_EVERY_S,
-    waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S,
-    wall_clock: Callable[[Before], Clock] = WallClock,
-    remote_drive: RemoteDrive | None = None,
-    disk_usage: Usage = disk_usage,
+    options: SessionOptions = PLAIN,
+    host: Host = THIS_COMPUTER,
 ) -> bool:
     """Follow the schedule to its end; the caller owns the folder.
-
-    Parameters
-    ----------
-    report
-        Called with the name of an event and its values: ``beat``, ``begun`` (the first set is waited for or
-        taken), ``progress``, ``alarm``, ``gap``, ``finished``,
-        ``waits`` (for the rig, whose alarm stands).
-    linger
-        Stay after the last set and carry out orders (acknowledgements) until ``stop``.
-    unsupervised
-        Set where ``stop`` is, because the supervisor is gone.
-    acknowledged
-        Called with the id of each shot (``shots.sequence``) once it is durable.
-    compaction_worker
-        Makes the executor in which sets get their files.
-    listen_every_s
-        Shortest time between two looks for orders.
-    waits_for_rig_s
-        Wait before each further try to open the rig of a test that has begun; the last one repeats.
-    wall_clock
-        Makes the clock of a test in real time, of what is known of the time before.
-    remote_drive
-        The supply in a process of its own; None: the rig's supply, where it has one, is driven here.
-    disk_usage
-        Tells free and all bytes of the folder's volume.
 
     Returns
     -------
     bool
-        True when every planned set has its row, False when ``stop`` came first.
+        True when every scheduled set has its row, False when ``stop`` came first.
 
     Raises
     ------
     StorageError, RigError
-        What cannot be mended here; every taken shot is stored.
+        What cannot be repaired here; every taken shot is stored.
     """
-    began_ns, last_beat = time.monotonic_ns(), read_heartbeat(folder)
+    started_ns, last_beat = time.monotonic_ns(), read_heartbeat(folder)
     deadline_s = longest_call_s(settings) + settings.rig.stall_timeout_s
     rebuilt = _rebuilt_if_lost(settings, folder, Heartbeat(folder, deadline_s=deadline_s, notify=report))
     with ExitStack() as stack:
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
-        cause = _why_not_running(catalogue, last_beat, restart_reason)
+        not_running_reason = _why_not_running(catalogue, last_beat, options.restart_reason)
         epoch_ns = _experiment_epoch(catalogue, settings)
         keep_experiment(folder, catalogue.experiment_row())
         if rebuilt:
-            newest = catalogue.events_after(catalogue.last_event_id() - 1, limit=1)
-            now_ns = newest[0].utc_ns if newest else epoch_ns
-            catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=rebuilt)
+            _note_rebuilt(catalogue, rebuilt, epoch_ns)
         history = HistoryFollower(folder, catalogue)
         history.begin()
         archive = stack.enter_context(closing(FolderArchive(folder)))
-
-        def note_file(set_index: int, file: str, sha256: str) -> None:
-            catalogue.set_digest(set_index, file, sha256)
-            history.note_digest(file, sha256)
-
-        _note_digests(catalogue, archive, note_file)
-        clock: Clock
-        if settings.clock.kind == "wall":
-            clock = wall_clock(
-                time_before(
-                    catalogue,
-                    last_beat,
-                    opened_utc_ns=[item.last_utc_ns for item in archive.open_sets().values()],
-                    boot=boot_name(),
-                    elapsed_ns=elapsed_ns(),
-                    doubt_after_h=settings.clock.doubt_after_h,
-                )
-            )
-        else:
-            start_ns = _resume_utc_ns(catalogue, archive, epoch_ns)
-            clock = SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
+        _note_digests(catalogue, archive, partial(_note_file, catalogue, history))
+        clock = _clock(settings, catalogue, archive, last_beat, host)
         line = clock.line if isinstance(clock, WallClock) else lambda: None
         heartbeat = Heartbeat(folder, deadline_s=deadline_s, notify=report, time_line=line)
-
-        def moment() -> Moment:
-            now_ns = clock.utc_ns()
-            return Moment(utc_ns=now_ns, due_h=(now_ns - epoch_ns) / NS_PER_H, set_index=None)
-
-        since_mono_ns = clock.mono_ns() - (time.monotonic_ns() - began_ns)
+        moment = partial(moment_at, clock, epoch_ns)
+        since_mono_ns = clock.mono_ns() - (time.monotonic_ns() - started_ns)
         rig, did = open_patiently(
             lambda: stack.enter_context(open_rig(settings, clock, epoch_ns)),
             resuming=bool(catalogue.rows(SetRow, limit=1)),
-            restarted=bool(restart_reason),
+            restarted=bool(options.restart_reason),
             heartbeat=heartbeat,
             stop=stop,
-            waits_s=waits_for_rig_s,
+            waits_s=host.waits_for_rig_s,
             alarm=OpeningAlarm(catalogue, history, moment, report),
         )
         if rig is None:
-            _store_stop(catalogue, history, heartbeat, moment(), unsupervised)
+            _store_stop(catalogue, history, heartbeat, moment(), options.unsupervised)
             return False
-        disk = DiskWatch(folder, settings.storage, usage=disk_usage)
-        stack.callback(disk.free_reserve)
-        experiment = experiment_identity(catalogue.experiment_row())
-
-        def has_room() -> bool:
-            return disk.space.level in ("ample", "warn")
-
-        def tiles(set_index: int, results: Results) -> Callable[[SetRecord], str] | None:
-            return (
-                partial(add_record_to_tiles, folder, experiment, anchors_of(results)) if has_room() else None
-            )
-
-        finalizer = SetFinalizer(
-            folder,
-            archive,
-            start=compaction_worker,
-            results=partial(results_in, catalogue),
-            filed=note_file,
-            also=tiles,
-        )
-        # One that has no rows yet gets them first: its file holds a copy of them.
-        for set_index in sorted(catalogue.committed_sets(archive.to_compact())):
-            finalizer.put(set_index)
-        stack.callback(finalizer.close)
-        checker = IdleVerification(
-            folder, finalizer, partial(lost_sets, folder, catalogue), catalogue.digest_of, note_file
-        )
-        live = LiveFigure(folder, rig.kind)
-        tile_maker = TileMaker(
-            folder,
-            experiment,
-            finalizer,
-            partial(catalogue.files_but_of, ()),
-            partial(results_in, catalogue),
-            has_room=has_room,
-        )
-        machine = ComputerLoadWatch(clock, space=lambda: disk.space, files_read=lambda: checker.files_read)
-        recorder = Recorder(
-            settings,
-            archive,
-            catalogue,
-            rig,
-            epoch_ns,
-            live=live,
+        bare = Resources(
+            settings=settings,
+            archive=archive,
+            catalogue=catalogue,
+            rig=rig,
             heartbeat=heartbeat,
+            live=LiveFigure(folder, rig.kind),
             stop=stop,
             report=report,
-            unsupervised=unsupervised,
-            helpers=Helpers(
-                compaction=finalizer,
-                idle_check=checker,
-                tiling=tile_maker,
-                history=history,
-                disk=disk,
-                machine=machine,
-                web=WebWatch(folder),
-                acknowledged=acknowledged,
-            ),
-            listen_every_s=listen_every_s,
-            remote_drive=remote_drive,
+            options=options,
+            host=host,
         )
+        resources = _with_background_tasks(bare, folder, archive, history)
+        for task in reversed(resources.tasks):
+            stack.callback(task.close)
+        recorder = Recorder(resources)
         stack.callback(recorder.leave)
         finished = recorder.run(
-            not_running_reason=cause, opening=Opening(since_mono_ns=since_mono_ns, text=did)
+            not_running_reason=not_running_reason, opening=Opening(since_mono_ns=since_mono_ns, text=did)
         )
         if finished:
             report("finished")
-            if linger:
+            if options.linger:
                 recorder.linger()
         return finished
+
+
+def _clock(
+    settings: Settings, catalogue: RecorderCatalogue, archive: Archive, last_beat: Beat | None, host: Host
+) -> Clock:
+    """Make the clock of the test, which goes on where the last recorder ended."""
+    if settings.clock.kind != "wall":
+        epoch_ns = catalogue.experiment_row().epoch_utc_ns
+        start_ns = _resume_utc_ns(catalogue, archive, epoch_ns)
+        return SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
+    return host.wall_clock(
+        time_before(
+            catalogue,
+            last_beat,
+            opened_utc_ns=[item.last_utc_ns for item in archive.open_sets().values()],
+            boot=boot_name(),
+            elapsed_ns=elapsed_ns(),
+            doubt_after_h=settings.clock.doubt_after_h,
+        )
+    )
+
+
+def _with_background_tasks(
+    bare: Resources, folder: Path, archive: FolderArchive, history: HistoryFollower
+) -> Resources:
+    """Add the work between sets; sets that the last recorder left in the journal get their files first."""
+    catalogue, note_file = bare.catalogue, partial(_note_file, bare.catalogue, history)
+    experiment = experiment_identity(catalogue.experiment_row())
+    disk = DiskWatch(folder, bare.settings.storage, usage=bare.host.disk_usage)
+
+    def has_room() -> bool:
+        return disk.space.level in ("ample", "warn")
+
+    def tiles(set_index: int, results: Results) -> Callable[[SetRecord], str] | None:
+        if not has_room():
+            return None
+        return partial(add_record_to_tiles, folder, experiment, anchors_of(results))
+
+    results, files = partial(results_in, catalogue), partial(catalogue.files_but_of, ())
+    finalizer = SetFinalizer(
+        folder, archive, start=bare.host.worker, results=results, filed=note_file, also=tiles
+    )
+    # One that has no rows yet gets them first: its file holds a copy of them.
+    for set_index in sorted(catalogue.committed_sets(archive.to_compact())):
+        finalizer.after_set(set_index)
+    verification = IdleVerification(
+        folder, finalizer, partial(lost_sets, folder, catalogue), catalogue.digest_of, note_file
+    )
+    return replace(
+        bare,
+        finalizer=finalizer,
+        verification=verification,
+        disk=disk,
+        further_tasks=(
+            history,
+            TileMaker(folder, experiment, finalizer, files, results, has_room=has_room),
+            bare.live,
+        ),
+        computer_load=ComputerLoadWatch(
+            bare.rig.clock, space=lambda: disk.space, files_read=lambda: verification.files_read
+        ),
+        web=WebWatch(folder),
+    )
+
+
+def _note_rebuilt(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], epoch_ns: int) -> None:
+    """Note that the catalogue was lost and made again, at the time of its newest event."""
+    newest = catalogue.events_after(catalogue.last_event_id() - 1, limit=1)
+    now_ns = newest[0].utc_ns if newest else epoch_ns
+    catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=rebuilt)
+
+
+def _note_file(
+    catalogue: RecorderCatalogue, history: HistoryFollower, set_index: int, file: str, sha256: str
+) -> None:
+    """Note the SHA-256 of the file of a set."""
+    catalogue.set_digest(set_index, file, sha256)
+    history.note_digest(file, sha256)
 
 
 def _rebuilt_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> dict[str, Any]:
@@ -305,12 +284,12 @@ def _store_stop(
     history: HistoryFollower,
     heartbeat: Heartbeat,
     moment: Moment,
-    unsupervised: threading.Event | None,
+    unsupervised: threading.Event,
 ) -> None:
     """Say that a recorder was stopped before its rig could be opened."""
     heartbeat.stage = "ended"
     heartbeat.beat("leaving", at_once=True)
-    alone = unsupervised is not None and unsupervised.is_set()
+    alone = unsupervised.is_set()
     kind = "recorder_left_alone" if alone else "recorder_stopped"
     try:
         catalogue.add_event(utc_ns=moment.utc_ns, topic="service", kind=kind, payload={})

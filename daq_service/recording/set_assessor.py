@@ -24,14 +24,14 @@ from daq_service.alarms.states import (
 )
 from daq_service.archive import SetReader, SetRecord
 from daq_service.assessment.assessor import Assessor, PositionResult
-from daq_service.assessment.confirmation import overlap_reason, summarize_confirmation
+from daq_service.assessment.confirmation import summarize_confirmation
 from daq_service.assessment.methods import METHODS
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
-from daq_service.recording.confirmations import Confirmations
+from daq_service.recording.confirmations import Alarms, Confirmations
 from daq_service.recording.cost import Cost
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
@@ -129,11 +129,6 @@ class SetAssessor:
             self._assessors[position] = self._restored(position)
         return self._assessors[position]
 
-    def n_planned(self, position: str) -> int:
-        """Count the records wanted of a position in a set."""
-        method = METHODS[self._settings.positions[position].method]
-        return method.records_planned(self._settings.schedule)
-
     def assessed(
         self,
         due: DueSet,
@@ -158,10 +153,12 @@ class SetAssessor:
         retired = self.retired()
         transaction = Transaction()
         suspicions: dict[str, str] = {}
-        for position in self._positions_of(due):
+        for position in self.positions_of(due):
             if position not in causes:
                 cause = retired.get(position, "retired")
-                transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
+                transaction.sets.append(
+                    without_records(self._settings, due, position, retired=True, cause=cause)
+                )
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             assessor = self._assessor(position)
@@ -169,7 +166,7 @@ class SetAssessor:
                 assess_set = assessor.assess_set if due.position is None else assessor.assess_unscheduled
                 position_result = assess_set(due, record, features)
             row = replace(
-                self.without_records(due, position, retired=False, cause=causes[position]),
+                without_records(self._settings, due, position, retired=False, cause=causes[position]),
                 state="done" if not causes[position] else "partial" if measurements else "missed",
                 n_taken=len(measurements),
                 n_valid=position_result.n_valid,
@@ -187,9 +184,9 @@ class SetAssessor:
                 self._carry_alarm(
                     replace(condition, proof=dict(condition.proof) | further), moment, transaction
                 )
-        rig_now = self._rig_condition(due, record)
+        rig_now = _rig_condition(self._settings, due, record, proven=self.proven)
         if due.position is not None:
-            self._add_confirmation(due.position, transaction, moment)
+            _add_confirmation(self.alarms, due.position, transaction, moment)
             if rig_now.present:  # one position that works proves nothing of the other instruments
                 self._carry_alarm(rig_now, moment, transaction)
             return transaction
@@ -202,53 +199,23 @@ class SetAssessor:
                 self.confirmations.request(reason, due, position, standing, moment, transaction)
         return self._with_environment(due, moment, transaction)
 
-    def _positions_of(self, due: DueSet) -> list[str]:
+    def positions_of(self, due: DueSet) -> list[str]:
         """Positions that a set is of."""
         return list(self._settings.positions) if due.position is None else [due.position]
-
-    def _add_confirmation(self, position: str, transaction: Transaction, moment: Moment) -> None:
-        """Add the result of a confirmation set to the active alarm of its position."""
-        assessment = transaction.assessments[0] if transaction.assessments else None
-        payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
-        for kind in ALARMS_OF_CHANGE:
-            row = self.alarms.get((position, kind))
-            if row is not None and row.state != "normal":
-                transaction.add_alarm(add_evidence(row, {"confirmation": payload}, moment), moment)
 
     def order_confirmation(
         self, planned: DueSet, position: str, author: str, note: str, moment: Moment
     ) -> Transaction:
-        """Ask for a confirmation set after a planned one by a person's order; to be committed.
+        """Request a confirmation set after a planned one by a person's command; to be committed.
 
         Raises
         ------
         ValueError
             It cannot be taken, and why.
         """
-        if unjudged := self._assessor(position).not_assessed_reason:
-            raise ValueError(f"{position} has nothing to compare a set with: {unjudged}")
-        too_late = overlap_reason(
-            self.confirmations.room_ns(planned, moment.utc_ns), self.confirmations.set_ns
-        )
-        if too_late:
-            raise ValueError(f"{too_late}: that one says the same")
-        transaction = Transaction()
-        if self.confirmations.add(note, planned, position, moment, transaction, author) is None:
-            raise ValueError(
-                "there are too many confirmation sets since the last planned set; wait for the next one"
-            )
-        return transaction
-
-    def _rig_condition(self, due: DueSet, record: SetRecord) -> Condition:
-        """Tell whether the instruments of any method had trouble; each method has its own."""
-        unanswered = ""
-        for method in METHODS:
-            names = self._settings.names_of(method)
-            if not any(item.key.position in names for item in record.records):
-                unanswered = unanswered or lost_cause(
-                    [item for item in record.missed if item.key.position in names]
-                )
-        return rig_condition(due, record.trouble, unanswered, proven=self.proven)
+        if reason := self._assessor(position).not_assessed_reason:
+            raise ValueError(f"{position} has nothing to compare a set with: {reason}")
+        return self.confirmations.order(planned, position, author, note, moment)
 
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
         """Store what becomes of an alarm that belongs to no set."""
@@ -296,43 +263,31 @@ class SetAssessor:
         return transaction
 
     def commit(self, transaction: Transaction) -> None:
-        """Store it; what later sets build on is taken over only after that.
+        """Store rows, alarms and events in one transaction, then report them."""
+        self.store(transaction)
+        self.publish(transaction)
+
+    def store(self, transaction: Transaction) -> None:
+        """Store rows, alarms and events; what later sets build on is taken over only after that.
 
         Called again after an error, it first looks whether the commit took place all the same.
         """
         indices = {row.set_index for row in transaction.sets}
         if transaction is self._uncommitted and indices <= self._catalogue.committed_sets(indices):
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
-            self._report_changes(transaction)
             return
         self._uncommitted = transaction if indices else self._uncommitted
         with self._cost.of("commit_s"):
             committed = self._catalogue.commit_set(transaction)
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
-        self._report_changes(transaction)
 
-    def _report_changes(self, transaction: Transaction) -> None:
-        """Report gaps and alarm changes to the program that started the test."""
+    def publish(self, transaction: Transaction) -> None:
+        """Take over what was stored, and report its alarms and gaps."""
         for event in transaction.events:
             self.take_stored(event)
         self.confirmations.take_rows(transaction)
-        lacking: dict[tuple[int, str, str], list[str]] = {}
-        for row in transaction.sets:
-            if row.state in ("missed", "partial") and row.purpose is None:
-                lacking.setdefault((row.set_index, row.state, row.cause or ""), []).append(row.position)
-        for (set_index, state, cause), positions in lacking.items():
-            self._news("gap", set_index=set_index, state=state, cause=cause, positions=positions)
-        for at, row_at in transaction.alarm_of_event.items():
-            alarm = transaction.alarms[row_at]
-            since_h = (alarm.changed_utc_ns - alarm.raised_utc_ns) / NS_PER_H
-            self._news(
-                "alarm",
-                change=transaction.events[at].kind,
-                hour=alarm.raised_h + since_h,
-                severity=alarm.severity,
-                message=alarm.message,
-            )
+        _report_changes(transaction, self._news)
 
     def nothing_taken(
         self, due: DueSet, causes: Mapping[str, str], *, utc_ns: int, tried: TakenSet | None = None
@@ -349,7 +304,7 @@ class SetAssessor:
         moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
         transaction = Transaction()
         retired = self.retired() if tried is None else tried.retired
-        for position in self._positions_of(due):
+        for position in self.positions_of(due):
             gone = position in retired
             missed = (
                 []
@@ -361,8 +316,12 @@ class SetAssessor:
             if tried is not None and not gone and due.position is None:
                 position_result = self._assessor(position).assess_empty_set(due, len(missed) - restrikes)
             row = replace(
-                self.without_records(
-                    due, position, retired=gone, cause=retired.get(position) or causes[position]
+                without_records(
+                    self._settings,
+                    due,
+                    position,
+                    retired=gone,
+                    cause=retired.get(position) or causes[position],
                 ),
                 n_missed=len(missed),
                 n_restrikes=restrikes,
@@ -376,20 +335,67 @@ class SetAssessor:
             self._carry_alarm(payload, moment, transaction)
         log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
         if due.position is not None:
-            self._add_confirmation(due.position, transaction, moment)
+            _add_confirmation(self.alarms, due.position, transaction, moment)
             return transaction
         return self._with_environment(due, moment, transaction)
 
-    def without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
-        """Make the row of a position that gave not one record, or was not asked for any."""
-        return SetRow(
-            set_index=due.set_index,
-            position=position,
-            method=self._settings.positions[position].method,
-            due_utc_ns=due.due_utc_ns,
-            due_h=due.due_h,
-            state="retired" if retired else "missed",
-            cause=cause or None,
-            n_planned=0 if retired else self.n_planned(position),
-            purpose=None if due.position is None else "confirmation",
+
+def records_planned(settings: Settings, position: str) -> int:
+    """Count the records wanted of a position in a set."""
+    return METHODS[settings.positions[position].method].records_planned(settings.schedule)
+
+
+def without_records(settings: Settings, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+    """Make the row of a position that gave not one record, or was not asked for any."""
+    return SetRow(
+        set_index=due.set_index,
+        position=position,
+        method=settings.positions[position].method,
+        due_utc_ns=due.due_utc_ns,
+        due_h=due.due_h,
+        state="retired" if retired else "missed",
+        cause=cause or None,
+        n_planned=0 if retired else records_planned(settings, position),
+        purpose=None if due.position is None else "confirmation",
+    )
+
+
+def _add_confirmation(alarms: Alarms, position: str, transaction: Transaction, moment: Moment) -> None:
+    """Add the result of a confirmation set to the active alarm of its position."""
+    assessment = transaction.assessments[0] if transaction.assessments else None
+    payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
+    for kind in ALARMS_OF_CHANGE:
+        row = alarms.get((position, kind))
+        if row is not None and row.state != "normal":
+            transaction.add_alarm(add_evidence(row, {"confirmation": payload}, moment), moment)
+
+
+def _rig_condition(settings: Settings, due: DueSet, record: SetRecord, *, proven: bool) -> Condition:
+    """Return whether the instruments of any method had trouble; each method has its own."""
+    unanswered = ""
+    for method in METHODS:
+        names = settings.names_of(method)
+        if not any(item.key.position in names for item in record.records):
+            missed = [item for item in record.missed if item.key.position in names]
+            unanswered = unanswered or lost_cause(missed)
+    return rig_condition(due, record.trouble, unanswered, proven=proven)
+
+
+def _report_changes(transaction: Transaction, news: Callable[..., None]) -> None:
+    """Report gaps and alarm changes to the program that started the test."""
+    lacking: dict[tuple[int, str, str], list[str]] = {}
+    for row in transaction.sets:
+        if row.state in ("missed", "partial") and row.purpose is None:
+            lacking.setdefault((row.set_index, row.state, row.cause or ""), []).append(row.position)
+    for (set_index, state, cause), positions in lacking.items():
+        news("gap", set_index=set_index, state=state, cause=cause, positions=positions)
+    for at, row_at in transaction.alarm_of_event.items():
+        alarm = transaction.alarms[row_at]
+        since_h = (alarm.changed_utc_ns - alarm.raised_utc_ns) / NS_PER_H
+        news(
+            "alarm",
+            change=transaction.events[at].kind,
+            hour=alarm.raised_h + since_h,
+            severity=alarm.severity,
+            message=alarm.message,
         )

@@ -66,7 +66,7 @@ def _table(
         yield from _table(value, (*path, name), switched_off, described)
 
 
-def _assignment(name: str, value: Any, description: str) -> Iterator[str]:
+def _assignment(name: str, value: object, description: str) -> Iterator[str]:
     text = f"{_key(name)} = {_value(value)}"
     if len(text) > COMMENT_COLUMN - 2:
         yield from (*_comment(description), text)
@@ -89,7 +89,7 @@ def _string(text: str) -> str:
     return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
 
 
-def _value(value: Any) -> str:
+def _value(value: object) -> str:
     match value:
         case str():
             return _string(value)

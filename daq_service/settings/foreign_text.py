@@ -78,7 +78,7 @@ class PlainStream:
         """Write a text."""
         return self.stream.write(without_controls(text))
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self.stream, name)
 
 

@@ -41,7 +41,7 @@ class Instrument:
     table: str
     kind: Kind[Any]
     offer: Offer
-    parameters: Any
+    parameters: object
     serves: Mapping[Role, tuple[str, ...]]
 
 
@@ -128,9 +128,9 @@ def with_defaults(settings: Settings) -> Settings:
     return settings.model_copy(update={"rig": settings.rig.model_copy(update={"instruments": filled})})
 
 
-def plain(instrument: Instrument) -> dict[str, Any]:
+def plain(instrument: Instrument) -> dict[str, object]:
     """Return all parameters of an instrument, ready for JSON."""
-    adapter: TypeAdapter[Any] = TypeAdapter(instrument.kind.parameters)
+    adapter: TypeAdapter[object] = TypeAdapter(instrument.kind.parameters)
     values: dict[str, Any] = adapter.dump_python(instrument.parameters, mode="json")
     return values
 
@@ -142,7 +142,7 @@ def _instrument(
         kind, offer = find_kind(kind_name)
     except ConfigurationError as error:
         raise ConfigurationError(f"{table}: {error}") from error
-    adapter: TypeAdapter[Any] = TypeAdapter(kind.parameters)
+    adapter: TypeAdapter[object] = TypeAdapter(kind.parameters)
     try:
         parameters = adapter.validate_python({} if values is None else values)
     except ValidationError as error:

@@ -24,7 +24,7 @@ RENAMED: Mapping[str, str | None] = {}
 """Keys or tables of earlier versions: dotted path (``*``: any one name) to today's path with as many ``*``,
 or None for one that went without changing what is measured."""
 
-BEFORE: Mapping[str, Any] = {"alarms.decides_by": "k_of_n"}
+BEFORE: Mapping[str, object] = {"alarms.decides_by": "k_of_n"}
 """Keys that came later and whose default is not what was done before, with what was."""
 
 SHOWN = 12
@@ -46,7 +46,7 @@ class _Stored(Settings):
         return (init_settings,)
 
 
-def stored_settings(values: Mapping[str, Any]) -> Settings:
+def stored_settings(values: Mapping[str, object]) -> Settings:
     """Return the settings with which a test was started, without the current environment.
 
     Raises
@@ -65,7 +65,7 @@ def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
     return nested(before | {path: value for path, value in moved if path})
 
 
-def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
+def differences(stored: Mapping[str, object], given: Settings) -> list[str]:
     """Return the differences in meaning between a stored configuration and the given one, by key.
 
     Parameters
@@ -125,7 +125,7 @@ def _with_current_defaults(settings: Settings) -> Settings:
         return settings
 
 
-def _unknown(values: Mapping[str, Any]) -> set[KeyPath]:
+def _unknown(values: Mapping[str, object]) -> set[KeyPath]:
     try:
         _Stored(**values)
     except ValidationError as error:
@@ -135,7 +135,7 @@ def _unknown(values: Mapping[str, Any]) -> set[KeyPath]:
 
 
 def _is_hashed_out(path: KeyPath) -> bool:
-    below: Any = HASHED_OUT
+    below: object = HASHED_OUT
     for name in path:
         if name not in below:
             return False
@@ -162,22 +162,22 @@ def _path(location: tuple[int | str, ...]) -> KeyPath:
     return tuple(str(part) for part in location)
 
 
-def _value(flat: Mapping[KeyPath, Any], path: KeyPath) -> str:
+def _value(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
     return json.dumps(flat[path]) if path in flat else "no value"
 
 
-def flattened(values: Mapping[str, Any], above: KeyPath = ()) -> dict[KeyPath, Any]:
+def flattened(values: Mapping[str, object], above: KeyPath = ()) -> dict[KeyPath, object]:
     """Return the values by the path of each key; an empty table and a list count as values."""
-    flat: dict[KeyPath, Any] = {}
+    flat: dict[KeyPath, object] = {}
     for name, value in values.items():
         below = isinstance(value, Mapping) and value
         flat |= flattened(value, (*above, name)) if below else {(*above, name): value}
     return flat
 
 
-def nested(values: Mapping[KeyPath, Any]) -> dict[str, Any]:
+def nested(values: Mapping[KeyPath, object]) -> dict[str, object]:
     """Return nested tables from values by path; the inverse of `flattened`."""
-    tree: dict[str, Any] = {}
+    tree: dict[str, object] = {}
     for path, value in values.items():
         below = tree
         for name in path[:-1]:

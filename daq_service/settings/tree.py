@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 FILLED_AT_MOST = 0.99
 """Of the time from set to set by strikes: a set that fills all of it begins later each time, until one is
 missed."""
-HASHED_OUT: Mapping[str, Any] = {
+HASHED_OUT: Mapping[str, object] = {
     "web": True,
     "notifications": True,
     "clock": {"pace_h_per_s", "doubt_after_h"},
@@ -186,7 +186,7 @@ class QualitySettings(Section):
     no_data_sets: int = Field(default=2, ge=1, le=1000)
     """Sets running with too few valid shots (`baseline.minimum_valid_shots`) that raise `no_data`."""
     retire_after_sets: int = Field(default=10, ge=0, le=100_000)
-    """Such sets running after which the transducer strikes no more, until `reinstate`; 0: never."""
+    """Consecutive such sets after which the transducer is disabled until `solimon enable`; 0: never."""
 
 
 class BaselineSettings(Section):
@@ -239,7 +239,7 @@ class AlarmSettings(Section):
     hole_shots: int = Field(default=HoleRule().shots, ge=1, le=1000)
     """Shots of a set without a reflected wave that point at a hole."""
     hole_sets: int = Field(default=HoleRule().consecutive_sets, ge=1, le=100)
-    """Such sets in a row that retire the transducer with a hole alarm."""
+    """Consecutive such sets that disable the transducer with a hole alarm."""
     thickness_loss_fraction: float = Field(default=0.10, gt=0.0, lt=1.0)
     """Loss read by the ultrasonic probe that raises its alarm (k of n), as a part of the initial wall."""
     confirmation_sets_a_day: int = Field(default=2, ge=0, le=24)
@@ -479,7 +479,7 @@ class Settings(BaseSettings):
         return [name for name, place in self.positions.items() if place.method == method]
 
 
-def _with_inherited_tables(place: Mapping[str, Any], common: Mapping[str, Any]) -> dict[str, Any]:
+def _with_inherited_tables(place: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
     filled = dict(place)
     for table in ("chain", "plate", "corrosion"):
         above, own = common.get(table, {}), filled.get(table, {})
@@ -488,6 +488,6 @@ def _with_inherited_tables(place: Mapping[str, Any], common: Mapping[str, Any]) 
     return filled
 
 
-def _position_values(place: PositionSettings) -> dict[str, Any]:
+def _position_values(place: PositionSettings) -> dict[str, object]:
     """Return a position as in a file, with only the values that differ from the defaults."""
     return {"method": place.method, "label": place.label, "corrosion": {"size_m": place.corrosion.size_m}}

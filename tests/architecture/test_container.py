@@ -11,8 +11,7 @@ from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
 
 import pytest
-
-from daq_service.cli.main import cli
+from support.command_line import command_of
 
 ROOT = Path(__file__).parents[2]
 TEXT = (ROOT / "examples" / "container" / "Dockerfile").read_text(encoding="utf-8")
@@ -50,7 +49,7 @@ def test_the_container_runs_as_an_unprivileged_user_on_its_own_folder() -> None:
 def test_the_container_starts_our_command_on_its_exposed_port() -> None:
     program, *_ = json.loads(arguments_of("ENTRYPOINT")[0])
     word, *arguments = json.loads(arguments_of("CMD")[0])
-    options = cli.commands[word].make_context(word, arguments).params
+    options = command_of(word).make_context(word, arguments).params
     assert (program, str(options["port"])) == ("solimon", arguments_of("EXPOSE")[0])
     assert options["data_dir"].is_relative_to(arguments_of("VOLUME")[0])
 

@@ -112,7 +112,7 @@ def test_the_demo_is_paused_resumed_finished_and_an_alarm_acknowledged(demo, ope
         expect(waveform).not_to_have_attribute("data-sequence", waveform.get_attribute("data-sequence"))
     expect(tof).not_to_have_attribute("data-points", first_points)
 
-    page.get_by_role("button", name="Hold", exact=True).click()
+    page.get_by_role("button", name="Pause", exact=True).click()
     page.keyboard.type("hands in the rig")
     page.keyboard.press("Enter")
     expect(page.locator("#paused")).to_contain_text("Held by dashboard: hands in the rig")
@@ -129,8 +129,8 @@ def test_the_demo_is_paused_resumed_finished_and_an_alarm_acknowledged(demo, ope
         shots = counts()["shots"]
         wait_for_missed(2)
         assert counts()["shots"] == shots
-        page.get_by_role("button", name="Release").click()
-        page.get_by_role("button", name="Release now").click()
+        page.get_by_role("button", name="Resume", exact=True).click()
+        page.get_by_role("button", name="Resume test").click()
         expect(page.locator("#paused")).to_be_hidden()
         expect(waveform).not_to_have_attribute("data-sequence", waveform.get_attribute("data-sequence"))
         asked_until(page, lambda: counts()["shots"] > shots, "a shot was taken")

@@ -79,10 +79,14 @@ def answered(filled, author="ann"):
             ("stop", {}),
         ),
         pytest.param(
-            "Retire C",
-            ["Position C strikes no more", "No sets will come from it", "press Reinstate beside its notice"],
-            "Retire C",
-            ("retire", {"position": "C", "note": ""}),
+            "Disable C",
+            [
+                "Position C is not struck from its next shot on",
+                "No sets will come from it",
+                "press Enable next to its notice",
+            ],
+            "Disable C",
+            ("disable", {"position": "C", "note": ""}),
             marks=pytest.mark.slow,
         ),
         (
@@ -209,7 +213,7 @@ def test_the_supply_values_are_limited_by_the_caps_and_shown_on_the_button(fille
 
 def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
     page = open_page(service.url, name=None)
-    hold, dialog = page.get_by_role("button", name="Hold", exact=True), page.get_by_role("dialog")
+    hold, dialog = page.get_by_role("button", name="Pause", exact=True), page.get_by_role("dialog")
     for name in (None, "Ben B"):
         hold.click()
         dialog.get_by_label("Reason").fill("hands in the rig")
@@ -223,14 +227,14 @@ def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
             page.keyboard.type(name)
             page.keyboard.press("Enter")
     expect(page.locator("#pause")).to_contain_text("Sent")
-    assert answered(filled, "Ben B") == ("hold", {"note": "hands in the rig"})
+    assert answered(filled, "Ben B") == ("pause", {"note": "hands in the rig"})
     expect(page.get_by_role("button", name="Ben B (claimed)")).to_be_visible()
     page.reload()
-    page.get_by_role("button", name="Hold", exact=True).click()
+    page.get_by_role("button", name="Pause", exact=True).click()
     dialog.get_by_label("Reason").fill("again")
     page.keyboard.press("Enter")
     expect(page.locator("#pause")).to_contain_text("Sent")
-    assert answered(filled, "Ben B") == ("hold", {"note": "again"})
+    assert answered(filled, "Ben B") == ("pause", {"note": "again"})
     page.get_by_role("button", name="Ben B (claimed)").click()
     dialog.get_by_label("Name").fill("Cleo")
     page.keyboard.press("Enter")
@@ -241,20 +245,22 @@ def test_the_person_who_paused_the_test_is_found_with_three_clicks(service, open
     audit, now = Audit(service.app.state.context.data_folder), datetime.now().astimezone()
     yesterday = now.replace(hour=12) - timedelta(days=1)
     deeds = [
-        ("old", "hold", yesterday - timedelta(days=1)),
-        ("cleo", "hold", yesterday),
+        ("old", "pause", yesterday - timedelta(days=1)),
+        ("cleo", "pause", yesterday),
         ("ben", "log_in", yesterday),
     ]
     for who, what, moment in deeds:
         entry = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
         audit.add(**entry, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
     for _ in range(60):
-        audit.add(who="ann", what="release", role="admin", source="terminal", result="refused", why="no hold")
+        audit.add(
+            who="ann", what="resume", role="admin", source="terminal", result="refused", why="not paused"
+        )
     page = open_page(service.url)
     rows = page.locator("#audit tbody tr")
     clicks = [
         page.get_by_text("Audit", exact=True),
-        page.get_by_role("button", name="Holds"),
+        page.get_by_role("button", name="Pauses"),
         page.get_by_role("button", name="Yesterday"),
     ]
     for one in clicks:

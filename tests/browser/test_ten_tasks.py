@@ -68,7 +68,7 @@ def filled(tmp_path_factory):
 def service(filled):
     with served(filled.settings, filled.folder) as running:
         audit, noon = Audit(filled.folder), datetime.now().astimezone().replace(hour=12)
-        for who, what, days in (("old", "hold", 2), ("cleo", "hold", 1), ("ben", "log_in", 1)):
+        for who, what, days in (("old", "pause", 2), ("cleo", "pause", 1), ("ben", "log_in", 1)):
             entry = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
             at = noon - timedelta(days=days)
             audit.add(**entry, arguments={"note": "new sensor"}, utc_ns=int(at.timestamp()) * 10**9)
@@ -160,7 +160,7 @@ def is_shelved_for_eight_hours(page, api, filled):
 def is_who_held_it_yesterday(page, api, filled):
     midnight = datetime.now().astimezone().replace(hour=0, minute=0, second=0, microsecond=0)
     day = {"from_utc": (midnight - timedelta(days=1)).isoformat(), "to_utc": midnight.isoformat()}
-    (held,) = api(f"/audit?{urlencode({'what': 'hold', **day})}").json()["items"]
+    (held,) = api(f"/audit?{urlencode({'what': 'pause', **day})}").json()["items"]
     rows = page.locator("#audit tbody tr")
     expect(rows).to_have_count(1)
     expect(rows.locator("td").nth(1)).to_have_text(held["who"])
@@ -284,7 +284,7 @@ TASKS = (
         question="Who held the test yesterday?",
         steps=(
             click("#audit summary"),
-            click('#audit >> role=button[name="Holds"]'),
+            click('#audit >> role=button[name="Pauses"]'),
             click('#audit >> role=button[name="Yesterday"]'),
         ),
         seen=is_who_held_it_yesterday,

@@ -33,12 +33,12 @@ ARGUMENTS = {
     "unshelve_alarm": ALARM,
     "take_out_of_service": {**ALARM, "reason": "sensor is being repaired"},
     "return_to_service": ALARM,
-    "confirm": POSITION,
-    "retire": POSITION,
-    "reinstate": POSITION,
+    "strike": POSITION,
+    "disable": POSITION,
+    "enable": POSITION,
     "approve_baseline": POSITION,
     "renew_baseline": {**POSITION, "note": "coupled anew"},
-    "hold": {"note": "why"},
+    "pause": {"note": "why"},
 }
 
 

@@ -243,26 +243,26 @@ def test_commands_are_sent_from_another_terminal(watched: Demo) -> None:
         done = solimon_here(*arguments, "--data-dir", str(folder), env=QUICK)
         return done.returncode, done.stdout + done.stderr
 
-    code, text = order("hold", "--note", "door open", "--author", "ann", "--json")
+    code, text = order("pause", "--note", "door open", "--author", "ann", "--json")
     assert code == 0
     answer = json.loads(text)
     assert (answer["kind"], answer["author"], answer["arguments"], answer["state"]) == (
-        "hold",
+        "pause",
         "ann",
         {"note": "door open"},
         "done",
     )
     assert json.loads(order("status", "--json")[1])["held"] == "held by ann: door open"
-    code, text = order("hold")
+    code, text = order("pause")
     assert code == 2
     assert "a hold needs a reason, for whoever finds it: --reason 'hands in the rig'" in text
-    code, text = order("hold", "--reason", "door still open")
+    code, text = order("pause", "--reason", "door still open")
     assert code == 2
-    assert "already on hold: held by ann: door open" in text
-    assert order("retire", "--position", "C", "--note", "coil is hot") == (0, "C strikes no more\n")
-    assert order("retire", "--position", "Z")[0] == 2
-    assert order("reinstate", "--position", "C")[0] == 0
-    assert order("release")[0] == 0
+    assert "already paused: held by ann: door open" in text
+    assert order("disable", "--position", "C", "--note", "coil is hot") == (0, "C is disabled\n")
+    assert order("disable", "--position", "Z")[0] == 2
+    assert order("enable", "--position", "C")[0] == 0
+    assert order("resume")[0] == 0
     stored = sets_done(folder)
     until(lambda: sets_done(folder) > stored, "a set after the release")
 
@@ -327,7 +327,7 @@ def test_a_command_without_a_recorder_is_rejected(two_hours: tuple[Path, dict[st
     before = beat.read_text(encoding="utf-8")
     beat.unlink()
     try:
-        done = solimon_here("hold", "--reason", "why", "--data-dir", str(folder), env=QUICK)
+        done = solimon_here("pause", "--reason", "why", "--data-dir", str(folder), env=QUICK)
     finally:
         beat.write_text(before, encoding="utf-8")
     assert done.returncode == 5

@@ -48,17 +48,17 @@ def test_a_running_test_is_paused_resumed_and_a_transducer_disabled(
     recorder.start()
     try:
         until(lambda: states(folder)["done"] >= 2, "the second set")
-        assert order(folder, "hold", "door open") == 0
+        assert order(folder, "pause", "door open") == 0
         stored = sorted(set_files(folder))
         until(lambda: states(folder)["missed"] >= 3, "three missed sets")
         # A person may open the door after the answer: at most the set being stored then came after it.
         assert len(sorted(set_files(folder))) <= len(stored) + 1
-        with pytest.raises(UsageError, match="already on hold: held by ann: door open"):
-            order(folder, "hold", "again")
-        assert order(folder, "retire", position="D") == 0
-        assert order(folder, "release") == 0
+        with pytest.raises(UsageError, match="already paused: held by ann: door open"):
+            order(folder, "pause", "again")
+        assert order(folder, "disable", position="D") == 0
+        assert order(folder, "resume") == 0
         until(lambda: states(folder)["retired"] >= 2, "two sets without D")
-        assert order(folder, "reinstate", "new sensor", position="D") == 0
+        assert order(folder, "enable", "new sensor", position="D") == 0
         done = states(folder)["done"]
         until(lambda: states(folder)["done"] > done, "another set of D")
     finally:
@@ -67,8 +67,8 @@ def test_a_running_test_is_paused_resumed_and_a_transducer_disabled(
     assert not recorder.is_alive()
     lines = capsys.readouterr().out.splitlines()
     assert [line.partition(":")[0] for line in lines] == [
-        "on hold",
-        "D strikes no more",
-        "released",
+        "paused",
+        "D is disabled",
+        "resumed",
         "D strikes again from the next set",
     ]

@@ -16,6 +16,7 @@ from support.small_experiment import run, small_settings
 from support.stored_files import set_files
 
 from daq_service.alarms.guidance import GUIDANCE
+from daq_service.cli.groups.registry import section_of
 from daq_service.cli.main import cli
 from daq_service.processes.notifications.webhook import signature
 from daq_service.settings.file import load_settings
@@ -145,6 +146,25 @@ def test_every_command_and_option_exists(page: Path) -> None:
         known = {option for parameter in command.params for option in parameter.opts} | {"--help"}
         options = {word.partition("=")[0] for word in words if word.startswith("--")}
         assert options <= known, line
+
+
+TEXTS = ("daq_service", "simulator", "hardware_drivers", "analysis", "config", "examples", "benchmarks")
+
+
+@pytest.mark.parametrize("folder", TEXTS)
+def test_no_text_of_the_program_names_an_unknown_command(folder: str) -> None:
+    files = [
+        path
+        for suffix in ("py", "toml", "js", "html", "json", "md", "ipynb")
+        for path in (ROOT / folder).rglob(f"*.{suffix}")
+        if "node_modules" not in path.parts
+    ]
+    named = {
+        name: path.name
+        for path in files
+        for name in re.findall(r"`solimon ([a-z][a-z-]*)", path.read_text(encoding="utf-8"))
+    }
+    assert {name: file for name, file in named.items() if section_of(name) is None} == {}
 
 
 def test_the_api_page_names_every_resource() -> None:

@@ -404,12 +404,12 @@ def test_an_enabled_transducer_strikes_again_and_its_count_restarts(tmp_path: Pa
             stop.set()
         return quiet(key, acquired)
 
-    orders: list[Order] = [(2.4, "reinstate", {"position": "B", "note": "new coil"})]
+    orders: list[Order] = [(2.4, "enable", {"position": "B", "note": "new coil"})]
     rig = ordering_rig(tmp_path, orders, disturb)
     assert run(settings, tmp_path, rig=rig, stop=stop) is not restart
     if restart:
         assert run(settings, tmp_path, rig=disturbed_rig(quiet))
-    assert answers(tmp_path) == [("reinstate", "done", "B strikes again from the next set")]
+    assert answers(tmp_path) == [("enable", "done", "B strikes again from the next set")]
     states = [row.state for row in sets_of(tmp_path, "B")]
     assert states == ["missed"] * 8 + ["retired"] * 2
     with open_catalogue(tmp_path) as catalogue:
@@ -423,7 +423,7 @@ def test_a_dismissed_hole_needs_two_silent_sets_again(tmp_path: Path, restart: b
     """The chain had lost contact: put right after set 6, and silent again at once."""
     thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 3.0}}
     settings = only("BD", small_settings(twin={"thinning": thinning}, schedule={"end_h": 6.0}))
-    orders: list[Order] = [(3.9, "reinstate", {"position": "B", "note": "contact was open"})]
+    orders: list[Order] = [(3.9, "enable", {"position": "B", "note": "contact was open"})]
     if restart:
         orders.append((3.9, "stop", {}))
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders)) is not restart
@@ -439,11 +439,11 @@ def test_a_dismissed_hole_needs_two_silent_sets_again(tmp_path: Path, restart: b
 @pytest.mark.slow
 def test_an_operator_disables_and_enables_between_sets(tmp_path: Path) -> None:
     orders: list[Order] = [
-        (0.9, "retire", {"position": "C", "note": "sensor taken off"}),
-        (0.9, "retire", {"position": "C"}),
-        (0.9, "retire", {"position": "A"}),
-        (1.9, "reinstate", {"position": "C"}),
-        (1.9, "reinstate", {"position": "C"}),
+        (0.9, "disable", {"position": "C", "note": "sensor taken off"}),
+        (0.9, "disable", {"position": "C"}),
+        (0.9, "disable", {"position": "A"}),
+        (1.9, "enable", {"position": "C"}),
+        (1.9, "enable", {"position": "C"}),
     ]
     settings = small_settings(schedule={"end_h": 3.0})
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
@@ -451,11 +451,11 @@ def test_an_operator_disables_and_enables_between_sets(tmp_path: Path) -> None:
     assert [row.state for row in rows] == ["done"] + ["retired"] * 2 + ["done"] * 3
     assert {row.cause for row in rows[1:3]} == {"retired by ann: sensor taken off"}
     assert [(state, result) for _, state, result in answers(tmp_path)] == [
-        ("done", "C strikes no more"),
-        ("refused", "C is retired already"),
+        ("done", "C is disabled"),
+        ("refused", "C is disabled already"),
         ("refused", "there is no solitary-wave transducer 'A'; there are: B, C, D"),
         ("done", "C strikes again from the next set"),
-        ("refused", "C is not retired"),
+        ("refused", "C is not disabled"),
     ]
     assert {row.state for name in "ABD" for row in sets_of(tmp_path, name)} == {"done"}
 
@@ -464,7 +464,7 @@ IN_SET_1 = 1.0 + 16 / 3600  # between C's first strike (12 s after the hour) and
 
 
 def test_a_transducer_disabled_during_its_set_is_not_struck_again(tmp_path: Path) -> None:
-    orders: list[Order] = [(IN_SET_1, "retire", {"position": "C", "note": "coil is hot"})]
+    orders: list[Order] = [(IN_SET_1, "disable", {"position": "C", "note": "coil is hot"})]
     assert run(two_hours(), tmp_path, rig=ordering_rig(tmp_path, orders))
     rows = sets_of(tmp_path, "C")
     assert [(row.state, row.n_taken) for row in rows] == [
@@ -480,14 +480,14 @@ def test_a_transducer_disabled_during_its_set_is_not_struck_again(tmp_path: Path
 
 
 def test_a_transducer_disabled_after_its_shots_keeps_them(tmp_path: Path) -> None:
-    orders: list[Order] = [(IN_SET_1, "retire", {"position": "B"})]
+    orders: list[Order] = [(IN_SET_1, "disable", {"position": "B"})]
     assert run(only("BC", two_hours()), tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "done", "retired", "retired"]
     assert [row.state for row in sets_of(tmp_path, "C")] == ["done"] * 4
 
 
 def test_a_transducer_enabled_during_a_set_starts_with_the_next_one(tmp_path: Path) -> None:
-    orders: list[Order] = [(0.4, "retire", {"position": "B"}), (IN_SET_1, "reinstate", {"position": "B"})]
+    orders: list[Order] = [(0.4, "disable", {"position": "B"}), (IN_SET_1, "enable", {"position": "B"})]
     assert run(only("BC", two_hours()), tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["retired", "retired", "done", "done"]
     assert "B" not in {place.position for place in read_set(set_files(tmp_path)[1]).positions}
@@ -502,7 +502,7 @@ def struck(folder: Path) -> list[ShotKey]:
 
 @pytest.mark.slow
 def test_a_pause_during_a_set_stops_the_strikes(tmp_path: Path) -> None:
-    orders: list[Order] = [(IN_SET_1, "hold", {"note": "door open"}), (1.9, "release", {})]
+    orders: list[Order] = [(IN_SET_1, "pause", {"note": "door open"}), (1.9, "resume", {})]
     settings = small_settings(schedule={"end_h": 2.5})
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
     states = {name: [row.state for row in sets_of(tmp_path, name)] for name in "ABCD"}
@@ -524,26 +524,26 @@ def test_a_pause_survives_a_restart_and_ends_by_resuming(
 ) -> None:
     settings = only("B", small_settings(schedule={"end_h": 3.0}))
     stop_at_2: list[Order] = [
-        (0.9, "hold", {"note": "hands in the rig"}),
-        (0.9, "hold", {"note": "again"}),
+        (0.9, "pause", {"note": "hands in the rig"}),
+        (0.9, "pause", {"note": "again"}),
         (1.9, "stop", {}),
     ]
     assert not run(settings, tmp_path, rig=ordering_rig(tmp_path, stop_at_2))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done", "missed", "missed"]
     assert describe_status(tmp_path, Settings())["held"] == "held by ann: hands in the rig"
     run_status(config=None, data_dir=tmp_path, as_json=False, watch=False)
-    assert "on hold   held by ann: hands in the rig" in capsys.readouterr().out
-    orders: list[Order] = [(2.4, "release", {"note": "closed"}), (2.4, "release", {})]
+    assert "paused    held by ann: hands in the rig" in capsys.readouterr().out
+    orders: list[Order] = [(2.4, "resume", {"note": "closed"}), (2.4, "resume", {})]
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
     rows = sets_of(tmp_path, "B")
     assert [row.state for row in rows] == ["done", "missed", "missed", "missed", "done", "done"]
     assert {row.cause for row in rows[1:4]} == {"held by ann: hands in the rig"}
     assert [(state, result.partition(":")[0]) for kind, state, result in answers(tmp_path)] == [
-        ("done", "on hold"),
-        ("refused", "the test is already on hold"),
+        ("done", "paused"),
+        ("refused", "the test is already paused"),
         ("done", "stopping after the shot being taken"),
-        ("done", "released"),
-        ("refused", "the test is not on hold"),
+        ("done", "resumed"),
+        ("refused", "the test is not paused"),
     ]
     assert describe_status(tmp_path, Settings())["held"] is None
 
@@ -552,7 +552,7 @@ def test_sets_cut_short_by_pauses_are_not_counted_against_a_transducer(tmp_path:
     """B has one shot in each of four sets: too few, but it was not struck."""
     orders: list[Order] = []
     for hour in (0.5, 1.0, 1.5, 2.0):
-        orders += [(hour + 4 / 3600, "hold", {"note": "why"}), (hour + 0.4, "release", {})]
+        orders += [(hour + 4 / 3600, "pause", {"note": "why"}), (hour + 0.4, "resume", {})]
     settings = only("B", small_settings(schedule={"end_h": 2.5}, quality=SILENT))
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders))
     assert [row.n_taken for row in sets_of(tmp_path, "B")] == [1, 1, 1, 1, 3]
@@ -684,7 +684,7 @@ def test_a_rig_that_cannot_meet_a_request_reports_that_the_recorder_stopped(tmp_
 def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path: Path, late: bool) -> None:
     """Heard while the set is awaited, or when its first record is."""
     disturb, _ = lost_during(range(1, 2), "B", 4, ConnectionLostError)
-    rig = ordering_rig(tmp_path, [(1.5, "hold", {"note": "why"})], disturb, late=late)
+    rig = ordering_rig(tmp_path, [(1.5, "pause", {"note": "why"})], disturb, late=late)
     assert run(only("AB", small_settings(schedule=FOUR_SHOTS)), tmp_path, rig=rig)
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4
     assert alarms_of(tmp_path)[None, "rig_unavailable"].state == "unacknowledged"
@@ -692,7 +692,7 @@ def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path: Path, late: bool
 
 def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_path: Path) -> None:
     """The gate grants a repetition, and a hold comes before it: it was never made."""
-    orders: list[Order] = [(1.0 + 4 / 3600, "hold", {"note": "door open"})]
+    orders: list[Order] = [(1.0 + 4 / 3600, "pause", {"note": "door open"})]
     settings = only("B", two_hours())
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders, silent("B", from_set=1)))
     row = sets_of(tmp_path, "B")[1]

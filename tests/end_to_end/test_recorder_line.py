@@ -400,7 +400,7 @@ def test_a_set_without_any_record_is_missed_and_has_no_file(tmp_path: Path) -> N
 def test_a_rig_that_can_never_work_stops_the_test_with_what_was_taken(tmp_path: Path) -> None:
     def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
         if (key.position, key.set_index, key.shot_index) == ("C", 0, 2):
-            orders.append(_order(tmp_path, "release"))
+            orders.append(_order(tmp_path, "resume"))
             raise ConfigurationError("the range is refused")
         return acquired
 

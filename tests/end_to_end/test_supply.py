@@ -13,6 +13,7 @@ from support.stored_files import read_set, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.recording.resources import Host
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.tree import Settings
@@ -97,8 +98,7 @@ def run(
             open_rig,
             stop=stop,
             report=notify,
-            listen_every_s=0.0,
-            wall_clock=(clock or SteppedClock()).start,
+            host=Host(listen_every_s=0.0, wall_clock=(clock or SteppedClock()).start),
         )
 
 

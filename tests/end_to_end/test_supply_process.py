@@ -40,6 +40,7 @@ from daq_service.processes.data_folder import (
     write_configuration,
 )
 from daq_service.processes.heartbeat import read_heartbeat
+from daq_service.recording.resources import Host, SessionOptions
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.instruments import with_defaults
@@ -166,9 +167,8 @@ class Test:
                 rig,
                 stop=stop or threading.Event(),
                 report=notify,
-                listen_every_s=0.0,
-                wall_clock=wall_clock or SteppedClock().start,
-                remote_drive=drive,
+                options=SessionOptions(remote_drive=drive),
+                host=Host(listen_every_s=0.0, wall_clock=wall_clock or SteppedClock().start),
             )
 
     @contextmanager
@@ -443,7 +443,15 @@ def test_a_recorder_that_its_supervisor_starts_again_goes_on(test: Test) -> None
 def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test: Test) -> None:
     prepare_data_folder(test.folder)
     config = write_configuration(test.settings(), test.folder)
-    command = [sys.executable, "-m", "daq_service.cli", "drive", str(config), "--data-dir", str(test.folder)]
+    command = [
+        sys.executable,
+        "-m",
+        "daq_service.cli",
+        "supply-process",
+        str(config),
+        "--data-dir",
+        str(test.folder),
+    ]
     test.instruments.supply_link.do(lambda: test.instruments.supply.press_output_key(True))
     with notify_socket(test.folder.parent) as (manager, heard):
         environment = {**os.environ, **manager}
@@ -585,7 +593,14 @@ def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test: 
 
 
 def test_a_test_without_a_supply_has_no_supply_process(tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "daq_service.cli", "drive", "--data-dir", str(tmp_path / "data")]
+    command = [
+        sys.executable,
+        "-m",
+        "daq_service.cli",
+        "supply-process",
+        "--data-dir",
+        str(tmp_path / "data"),
+    ]
     refused = subprocess.run(command, capture_output=True, text=True, check=False)
     assert refused.returncode == 2
     assert "[rig.supply]" in refused.stderr

@@ -89,7 +89,7 @@ def test_a_crash_after_a_call_leaves_each_command_executed_once_or_rejected(
 
 KILLS = 30
 KINDS_OF_KILL = (("recorder",), ("web",), ("recorder", "web"))
-OF_A_BASELINE = {"confirm", "renew_baseline", "approve_baseline"}
+OF_A_BASELINE = {"strike", "renew_baseline", "approve_baseline"}
 """These wait for sets of their own, a round of orders does not: a crash behind each call tells of them."""
 LONGEST_LIFE_S = 0.5
 """Some orders; some kills come before the first one."""
@@ -166,10 +166,10 @@ class Client(threading.Thread):
             1: lambda: command(
                 "withdraw_annotation", annotation_id=self._newest("annotations?withdrawn=false")
             ),
-            2: lambda: command("retire", position="C"),
-            8: lambda: command("reinstate", position="C", note=person(self.given)),
-            9: lambda: command("hold", note="hands in the rig"),
-            10: lambda: command("release"),
+            2: lambda: command("disable", position="C"),
+            8: lambda: command("enable", position="C", note=person(self.given)),
+            9: lambda: command("pause", note="hands in the rig"),
+            10: lambda: command("resume"),
         }[step]()
 
     def _newest(self, listing: str) -> int:

@@ -21,7 +21,7 @@ from support.served_web import served_app
 FILE = Path(__file__).parents[2] / "daq_service" / "web" / "answers" / "examples.json"
 LONGEST_LIST = 2
 BODIES: dict[str, Any] = {
-    "create_command": {"kind": "hold", "author": "ann", "arguments": {"note": "hands in the rig"}},
+    "create_command": {"kind": "pause", "author": "ann", "arguments": {"note": "hands in the rig"}},
     "acknowledge_alarm": {"author": "ann", "note": "inspected"},
     "create_token": {"name": "bob", "role": "viewer", "days": 30},
 }

@@ -10,7 +10,16 @@ from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from unittest.mock import patch
 
-from daq_service.cli.main import main
+import click
+
+from daq_service.cli.main import cli, main
+
+
+def command_of(name: str) -> click.Command:
+    """Return a command of ``solimon`` with its options."""
+    command = cli.get_command(click.Context(cli), name)
+    assert command is not None, name
+    return command
 
 
 def solimon_here(*arguments: str, env: Mapping[str, str]) -> subprocess.CompletedProcess[str]:

@@ -42,6 +42,7 @@ from daq_service.processes.data_folder import own_data_folder, prepare_data_fold
 from daq_service.processes.worker import one_worker
 from daq_service.recording import session
 from daq_service.recording.recorder import Recorder
+from daq_service.recording.resources import Host, SessionOptions
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
 from hardware_drivers.measurement import PLANNED_SETS, Shot, ShotKey, Waveform, in_order
@@ -131,11 +132,8 @@ def record(
                 opener,
                 stop=threading.Event(),
                 report=lambda event, **values: None,
-                acknowledged=acknowledged,
-                compaction_worker=worker,
-                wall_clock=_clock_after,
-                listen_every_s=1e6,
-                **options,
+                options=SessionOptions(acknowledged=acknowledged, **options),
+                host=Host(worker=worker, wall_clock=_clock_after, listen_every_s=1e6),
             )
     assert finished, "the schedule was not ended"
     return [key for call, key in instruments.calls if call in ("strike", "acquire") and key is not None]

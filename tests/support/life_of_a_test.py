@@ -14,11 +14,11 @@ from support.filed_archive import FiledArchive
 from support.memory_line import Answer, Line, healthy, silent
 
 ORDERS: dict[tuple[str, int, int], tuple[str, dict[str, Any]]] = {
-    ("B", 1, 1): ("retire", {"position": "C", "note": "a loose cable"}),
-    ("B", 3, 0): ("reinstate", {"position": "C"}),
+    ("B", 1, 1): ("disable", {"position": "C", "note": "a loose cable"}),
+    ("B", 3, 0): ("enable", {"position": "C"}),
     ("D", 3, 1): ("renew_baseline", {"position": "C", "note": "coupled anew"}),
-    ("B", 4, 2): ("hold", {"note": "hands in the rig"}),
-    ("B", 10, 0): ("reinstate", {"position": "D"}),
+    ("B", 4, 2): ("pause", {"note": "hands in the rig"}),
+    ("B", 10, 0): ("enable", {"position": "D"}),
     ("C", 10, 0): ("annotate", {"from_h": 4.0, "to_h": 5.0, "position": "B", "text": "couplant renewed"}),
     ("C", 10, 1): ("annotate", {"from_h": 3.0, "text": "door slammed"}),
     ("B", 11, 1): ("take_out_of_service", {"alarm_id": 1, "reason": "cable is being replaced"}),
@@ -69,7 +69,7 @@ def lived(folder: Path) -> Line:
     line.script = script
     run(line, stop=stop)
     stop.clear()
-    line.order("release")
+    line.order("resume")
     run(line, stop=stop)
     stop.clear()
     run(line, start_h=5.6, cause="the power was off")

@@ -20,6 +20,7 @@ import numpy as np
 
 from analysis.waves.features import ShotFeatures, extract_features
 from daq_service.alarms.states import NOT_ASSESSED
+from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.verification import IdleVerification
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
@@ -36,11 +37,10 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.commands.execution import LISTEN_EVERY_S
-from daq_service.processes.disk_policy import DiskWatch
 from daq_service.processes.heartbeat import Heartbeat, Stage, WebWatch
 from daq_service.recording.computer_load import ComputerLoadWatch
-from daq_service.recording.persistence import Helpers
 from daq_service.recording.recorder import Recorder
+from daq_service.recording.resources import Host, Resources, SessionOptions
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
@@ -237,30 +237,26 @@ class Line:
                 clock=clock or SimulatedClock(start_ns),
                 **{"striker": instruments, "digitizer": instruments, "pulse_echo": instruments, **parts},
             )
-            recorder = Recorder(
-                self.settings,
-                archive or MemoryArchive(self.shelf),
-                catalogue,
-                rig,
-                epoch_ns,
-                live=NoPicture(),
+            resources = Resources(
+                settings=self.settings,
+                archive=archive or MemoryArchive(self.shelf),
+                catalogue=catalogue,
+                rig=rig,
                 heartbeat=self.heartbeat,
+                live=NoPicture(),
                 stop=stop or threading.Event(),
                 report=notify,
-                unsupervised=left_alone,
-                mono_s=mono_s,
-                helpers=Helpers(
-                    compaction=compaction,
-                    idle_check=idle_check,
-                    disk=disk,
-                    machine=machine,
-                    web=web,
-                    acknowledged=acknowledged,
+                options=SessionOptions(
+                    unsupervised=left_alone or threading.Event(), acknowledged=acknowledged
                 ),
-                features_of=self.features_of,
-                listen_every_s=self.listen_every_s,
-                look_every_s=self.look_every_s,
+                host=Host(mono_s=mono_s, listen_every_s=self.listen_every_s, look_every_s=self.look_every_s),
+                finalizer=compaction,
+                verification=idle_check,
+                disk=disk,
+                computer_load=machine,
+                web=web,
             )
+            recorder = Recorder(resources, features_of=self.features_of)
             self.runs, self.heartbeat.at_the_first = True, self._give_orders
             try:
                 return recorder.run(not_running_reason=cause)

@@ -37,11 +37,11 @@ from daq_service.processes.child import log_to
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.recording import session
-from daq_service.recording.recorder import Recorder
+from daq_service.recording.resources import Host, SessionOptions
 from daq_service.recording.session import RigOpener
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_S
-from support.crashed_recorders import LongerRecords, features_by_key, in_memory, outcome
+from support.crashed_recorders import LongerRecords, in_memory, outcome
 from support.memory_line import healthy, memory_settings
 from support.small_experiment import AtOnce
 
@@ -128,22 +128,19 @@ def record(
 ) -> bool:
     """Record once, to the end or until ``stop``."""
     with in_memory(instruments) as opener, injected(clock):
-        recorder = partial(Recorder, features_of=features_by_key, mono_s=clock.s)
-        with patch.object(session, "Recorder", recorder):
-            prepare_data_folder(folder)
-            with own_data_folder(folder):
-                sweep(folder)
-                return session.record(
-                    refusal_settings(),
-                    folder,
-                    opened_by(opener),
-                    stop=stop,
-                    report=lambda event, **values: None,
-                    acknowledged=acknowledged_ids.append,
-                    compaction_worker=AtOnce,
-                    wall_clock=partial(WallClock, system_ns=clock.ns, elapsed_ns=clock.ns, sleep=clock.sleep),
-                    listen_every_s=1.0,
-                )
+        wall_clock = partial(WallClock, system_ns=clock.ns, elapsed_ns=clock.ns, sleep=clock.sleep)
+        prepare_data_folder(folder)
+        with own_data_folder(folder):
+            sweep(folder)
+            return session.record(
+                refusal_settings(),
+                folder,
+                opened_by(opener),
+                stop=stop,
+                report=lambda event, **values: None,
+                options=SessionOptions(acknowledged=acknowledged_ids.append),
+                host=Host(mono_s=clock.s, worker=AtOnce, wall_clock=wall_clock, listen_every_s=1.0),
+            )
 
 
 def begin(folder: Path) -> None:

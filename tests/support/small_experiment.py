@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, contextmanager
-from dataclasses import replace
+from dataclasses import fields, replace
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.recording.resources import Host, SessionOptions
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.file import load_settings
@@ -74,7 +75,9 @@ def run(
     restart_reason: str = "",
     **options: Any,
 ) -> bool:
-    """Record to the end, or until ``stop``; ``options`` and the return value are the recorder's."""
+    """Record to the end, or until ``stop``; ``options`` are of `SessionOptions` and `Host`."""
+    named = {item.name for item in fields(Host)}
+    host = {"worker": AtOnce, **{name: options.pop(name) for name in named & options.keys()}}
     prepare_data_folder(folder)
     if not (folder / FILE_NAME).exists():
         (folder / FILE_NAME).write_bytes(_empty_catalogue())
@@ -84,9 +87,9 @@ def run(
             folder,
             rig,
             stop=stop or threading.Event(),
-            restart_reason=restart_reason,
             report=lambda event, **values: None,
-            **{"compaction_worker": AtOnce, **options},
+            options=SessionOptions(restart_reason=restart_reason, **options),
+            host=Host(**host),
         )
 
 

@@ -9,7 +9,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -187,7 +186,7 @@ def _print_table(checks: list[Check], trial: Trial | None) -> None:
 
 def _report(
     settings: Settings, folder: Path, checks: list[Check], trial: Trial | None, code: int
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return the results for JSON."""
     return {
         "configuration_hash": settings.configuration_hash(),
@@ -199,7 +198,7 @@ def _report(
     }
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Replace NaN and infinities by None for JSON."""
     if isinstance(value, float) and not math.isfinite(value):
         return None

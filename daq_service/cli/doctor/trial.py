@@ -6,7 +6,6 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any
 
 import click
 
@@ -64,7 +63,7 @@ class Trial:
     settings: Mapping[str, float | str] = field(default_factory=dict)
     spike: SpikeSurvey | None = None
 
-    def as_row(self) -> dict[str, Any]:
+    def as_row(self) -> dict[str, object]:
         """Return the result for JSON."""
         features = self.features
         return {
@@ -75,7 +74,7 @@ class Trial:
         }
 
 
-def _without_outline(shot: ShotFeatures) -> dict[str, Any]:
+def _without_outline(shot: ShotFeatures) -> dict[str, object]:
     """Return the features without the outline of the record."""
     return {name: value for name, value in asdict(shot).items() if name != "outline"}
 

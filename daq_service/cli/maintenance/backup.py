@@ -14,7 +14,6 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from daq_service.archive.errors import BACK
 from daq_service.archive.journal.frames import frames
@@ -135,7 +134,7 @@ def back_up(
     return copied
 
 
-def _claim(destination: Path, experiment: dict[str, Any] | None) -> None:
+def _claim(destination: Path, experiment: dict[str, object] | None) -> None:
     """Mark a new destination for this test, and reject that of another test."""
     if experiment is None:
         raise StorageError("the test has not begun; there is nothing to copy")
@@ -174,7 +173,7 @@ def _read_history(folder: Path) -> bytes:
         return b""
 
 
-def _object(path: Path) -> dict[str, Any]:
+def _object(path: Path) -> dict[str, object]:
     """Read a JSON object; empty if invalid."""
     try:
         found = json.loads(read_shared(path))

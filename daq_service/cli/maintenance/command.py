@@ -1,4 +1,4 @@
-"""Run ``verify``, ``repair``, ``backup``, ``export`` and ``certify`` for a person or a program."""
+"""Run ``verify``, ``repair``, ``backup``, ``export`` and ``acceptance-report``."""
 
 from __future__ import annotations
 
@@ -10,19 +10,16 @@ from collections.abc import Callable, Collection, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
-from daq_service.cli.maintenance.backup import back_up
-from daq_service.cli.maintenance.export import export_hdf5
-from daq_service.cli.maintenance.repair import carry_out, planned
-from daq_service.cli.maintenance.verify import Finding, verify_folder
 from daq_service.errors import EXIT_OK, StorageError, UsageError
 from daq_service.processes.data_folder import is_owned, own_data_folder
 
 if TYPE_CHECKING:
     from daq_service.cli.maintenance.export_table import ExportedTable
+    from daq_service.cli.maintenance.verify import Finding
 
 PROGRESS_EVERY_S = 10.0
 """Interval of progress lines if standard error is not a terminal."""
@@ -31,6 +28,8 @@ LOWEST_PRIORITY = 19
 
 def run_verify(*, data_dir: Path, as_json: bool) -> int:
     """Check a folder; return 4 if something is corrupt."""
+    from daq_service.cli.maintenance.verify import verify_folder
+
     _give_way(data_dir)
     report = verify_folder(data_dir, _progress("files"))
     if as_json:
@@ -48,6 +47,9 @@ def run_verify(*, data_dir: Path, as_json: bool) -> int:
 
 def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: bool) -> int:
     """Repair a folder or list the steps; return 4 while something stays corrupt."""
+    from daq_service.cli.maintenance.repair import carry_out, planned
+    from daq_service.cli.maintenance.verify import verify_folder
+
     with own_data_folder(data_dir) if apply else nullcontext():
         report = verify_folder(data_dir, _progress("files"))
         steps = planned(data_dir, report, backup)
@@ -76,6 +78,8 @@ def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: boo
 
 def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
     """Copy a folder; return 4 if a file in it is corrupt or a set is lost."""
+    from daq_service.cli.maintenance.backup import back_up
+
     _give_way(data_dir)
     copied = back_up(data_dir, destination, _progress("files"))
     if as_json:
@@ -99,7 +103,7 @@ def run_export(
     targets: Sequence[Path],
     overwrite: bool,
     as_json: bool,
-    **options: Any,
+    **options: object,
 ) -> int:
     """Write one file of a test, a table or waveforms; return 4 if a set's file is unreadable."""
     if [hdf5, table, waveforms].count(None) != 2:
@@ -125,6 +129,8 @@ def run_export(
 
         records = RecordChoice(position=waveforms, **given)
         return _print_files(export_records(data_dir, records, targets, overwrite=overwrite), as_json=as_json)
+    from daq_service.cli.maintenance.export import export_hdf5
+
     assert hdf5 is not None, "one of the two is given"
     file = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
     if as_json:
@@ -156,12 +162,12 @@ def _print_files(files: Sequence[ExportedTable], *, as_json: bool) -> int:
     return EXIT_OK
 
 
-def run_certify(*, data_dir: Path, **options: Any) -> int:
+def run_acceptance_report(*, data_dir: Path, **options: object) -> int:
     """Write an acceptance report; return 6 if it does not pass."""
-    from daq_service.cli.maintenance.acceptance.command import certify
+    from daq_service.cli.maintenance.acceptance.command import write_acceptance_report
 
     _give_way(data_dir)
-    return certify(data_dir=data_dir, progress=_progress("files"), **options)
+    return write_acceptance_report(data_dir=data_dir, progress=_progress("files"), **options)
 
 
 def _print_damage(damage: list[Finding]) -> None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import NoneType
-from typing import Any, TypeVar, get_args
+from typing import TypeVar, get_args
 
 import numpy as np
 
@@ -201,7 +201,7 @@ def _shot_columns(
     parts = []
     for start in range(0, len(blocks), _SETS_AT_ONCE):
         step = blocks[start : start + _SETS_AT_ONCE]
-        filters: dict[str, Any] = {"position": sampling.position}
+        filters: dict[str, object] = {"position": sampling.position}
         filters |= {"first_set": step[0].set_index, "last_set": step[-1].set_index}
         shots = {row.sequence: row for row in catalogue.rows(ShotRow, **filters)}
         results = {row.sequence: row for row in catalogue.rows(kind, **filters)}
@@ -228,9 +228,12 @@ def _set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) ->
         parts = []
         for start in range(0, len(sets), _SETS_AT_ONCE):
             step = sets[start : start + _SETS_AT_ONCE]
-            filters: dict[str, Any] = {"position": position, "scope": "set" if kind is FeatureRow else None}
+            filters: dict[str, object] = {
+                "position": position,
+                "scope": "set" if kind is FeatureRow else None,
+            }
             filters |= {"first_set": step[0].set_index, "last_set": step[-1].set_index}
-            results: dict[int, Any] = {row.set_index: row for row in catalogue.rows(kind, **filters)}  # type: ignore[attr-defined] # each of these kinds has one
+            results: dict[int, object] = {row.set_index: row for row in catalogue.rows(kind, **filters)}  # type: ignore[attr-defined] # each of these kinds has one
             parts.append(_columns([results.get(row.set_index) for row in step], kind, _results_of(kind)))
         columns |= {name: _joined([part[name] for part in parts]) for name in parts[0]}
     return columns
@@ -251,7 +254,7 @@ def _columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) 
     }
 
 
-def _column(values: list[Any], of_type: Any) -> Column:
+def _column(values: list[object], of_type: object) -> Column:
     """Return a column as array or texts."""
     nullable = NoneType in get_args(of_type)
     plain = next(kind for kind in get_args(of_type) if kind is not NoneType) if nullable else of_type

@@ -32,7 +32,7 @@ from daq_service.cli.maintenance.rows import Found, RowsOfSet, differing
 from daq_service.clock import format_utc
 from daq_service.commands.audit import AUDIT_FILE
 from daq_service.errors import StorageError
-from daq_service.processes.data_folder import is_owned
+from daq_service.processes.data_folder import CACHES, is_owned
 from daq_service.processes.notifications.delivery_log import LOG_FILE
 from daq_service.processes.recorder_state import FAREWELLS
 from daq_service.shared_file import read_shared
@@ -408,4 +408,6 @@ def _notes(state: FolderCheck) -> list[str]:
         notes.append(f"not solimon's, in {SETS_FOLDER}: {', '.join(foreign)}")
     if quarantined:
         notes.append(f"set aside in {QUARANTINE_FOLDER}: {', '.join(quarantined)}; remove what nobody needs")
+    if caches := sorted(name for name in CACHES if (state.folder / name).exists()):
+        notes.append(f"caches, not checked and safe to delete: {', '.join(caches)}")
     return notes

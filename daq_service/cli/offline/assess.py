@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -66,8 +65,8 @@ def run_assess(
         )
     with _mapped(tables) as mapped:
         assess_table = partial(answered, read=read, budget=design, with_rows=as_json and not no_rows)
-        results: list[tuple[dict[str, Any], UsageError | None]] = list(mapped(assess_table, tables))
-        answer: dict[str, Any] = {"sensors": [sensor for sensor, _ in results]}
+        results: list[tuple[dict[str, object], UsageError | None]] = list(mapped(assess_table, tables))
+        answer: dict[str, object] = {"sensors": [sensor for sensor, _ in results]}
         readable = {
             path: sensor for path, (sensor, error) in zip(tables, results, strict=True) if error is None
         }
@@ -97,7 +96,9 @@ def _mapped(tables: tuple[Path, ...]) -> Iterator[Map]:
         return
     with opened_executor("processes", workers) as executor:
 
-        def map_in_processes(function: Callable[[Any], Any], paths: Sequence[Any]) -> Iterator[Any]:
+        def map_in_processes(
+            function: Callable[[object], object], paths: Sequence[object]
+        ) -> Iterator[object]:
             progress = Progress(len(paths), 0, what="tables") if sys.stderr.isatty() else None
             for result in executor.map(function, paths, chunksize=FILES_A_TASK):
                 if progress is not None:
@@ -109,7 +110,7 @@ def _mapped(tables: tuple[Path, ...]) -> Iterator[Map]:
 
 def answered(
     path: Path, *, read: Read, budget: Budget, with_rows: bool
-) -> tuple[dict[str, Any], UsageError | None]:
+) -> tuple[dict[str, object], UsageError | None]:
     """Assess one table, or return the error of reading it, so that other tables are assessed."""
     try:
         return sensor(path, read=read, budget=budget, with_rows=with_rows), None
@@ -125,11 +126,11 @@ def sensor(
     read: Read,
     budget: Budget,
     with_rows: bool,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Assess one table and return the result for JSON."""
     table = read(path)
     assessed = assess(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
-    answer: dict[str, Any] = {"file": str(path), "refused": assessed.refused}
+    answer: dict[str, object] = {"file": str(path), "refused": assessed.refused}
     answer["features_dropped"] = list(assessed.features_dropped)
     answer |= {"columns_assessed": list(table.names), "columns_left_out": list(table.left_out)}
     if assessed.refused is not None:
@@ -161,7 +162,7 @@ def sensor(
     return answer | ({"rows": _rows(assessed)} if with_rows else {})
 
 
-def _empty_results(*, with_rows: bool) -> dict[str, Any]:
+def _empty_results(*, with_rows: bool) -> dict[str, object]:
     """Return empty results."""
     lists = ("suspects", "named", "left_out", *(("rows",) if with_rows else ()))
     return {
@@ -172,7 +173,7 @@ def _empty_results(*, with_rows: bool) -> dict[str, Any]:
     }
 
 
-def _rows(assessed: Assessed) -> list[dict[str, Any]]:
+def _rows(assessed: Assessed) -> list[dict[str, object]]:
     """Return a result per row."""
     columns = {
         "distance_squared": assessed.distances_squared,
@@ -194,7 +195,7 @@ def _finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def in_words(answer: dict[str, Any], budget: float, sets_per_day: float) -> str:
+def in_words(answer: dict[str, object], budget: float, sets_per_day: float) -> str:
     """Return the lines about a transducer."""
     if answer["refused"] is not None:
         return f"{answer['file']}: refused: {answer['refused']}"

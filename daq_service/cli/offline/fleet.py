@@ -7,7 +7,6 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import scipy  # `scipy.stats` comes when asked for
@@ -40,7 +39,7 @@ DOUBTED_BY_CHANCE = 0.01
 FARTHEST_SD = 1e30
 """Maximum distance of a set from its baseline; limit of float32."""
 Read = Callable[[Path], TableFile]
-Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
+Map = Callable[[Callable[[object], object], Sequence[object]], Iterable[object]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -126,7 +125,7 @@ def assess_fleet(
     budget: Budget,
     rate: float,
     own_alarms: Sequence[Sequence[int]],
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Assess all tables together and return the result for JSON.
 
     Parameters
@@ -228,7 +227,7 @@ def _held(chances: Sequence[FloatArray], n_rows: int) -> FloatArray:
     return np.stack([np.pad(one, (0, n_rows - len(one)), mode="edge") for one in chances])
 
 
-def _shared_as_object(cause: SharedChange, names: Sequence[str]) -> dict[str, Any]:
+def _shared_as_object(cause: SharedChange, names: Sequence[str]) -> dict[str, object]:
     """Return a shared deviation for JSON."""
     return {
         "first_row": cause.first_row,
@@ -237,7 +236,7 @@ def _shared_as_object(cause: SharedChange, names: Sequence[str]) -> dict[str, An
     }
 
 
-def fleet_in_words(answer: dict[str, Any]) -> str:
+def fleet_in_words(answer: dict[str, object]) -> str:
     """Return the lines about the fleet."""
     sensors = f"fleet of {answer['sensors']} sensors, {answer['judged']} judged"
     raised = (

@@ -31,8 +31,8 @@ class Job:
     Equal jobs are computed once, so the arguments must be hashable and picklable.
     """
 
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...] = ()
+    function: Callable[..., object]
+    arguments: tuple[object, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +102,7 @@ class Material:
     """
 
     evidence: Evidence | None
-    results: Mapping[str, Any]
+    results: Mapping[str, object]
 
     def result(self, name: str) -> Any:
         """Return the result of a job.

@@ -39,7 +39,7 @@ class Outcome:
         return [row for section in self.sections for row in section.rows]
 
 
-def versions() -> dict[str, Any]:
+def versions() -> dict[str, object]:
     """Return the facts of a run before it has a test."""
     return {
         "seed": None,
@@ -54,7 +54,7 @@ def versions() -> dict[str, Any]:
     }
 
 
-def facts_of_test(test: Evidence) -> dict[str, Any]:
+def facts_of_test(test: Evidence) -> dict[str, object]:
     """Return the facts of a test."""
     return {
         "seed": test.seed,
@@ -66,7 +66,7 @@ def facts_of_test(test: Evidence) -> dict[str, Any]:
     }
 
 
-def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str, Any]:
+def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str, object]:
     """Write report and JSON file, and return the contents of the latter.
 
     Parameters
@@ -128,11 +128,11 @@ def _tally_text(counts: Mapping[str, int]) -> str:
     )
 
 
-def _row_dict(row: Row) -> dict[str, Any]:
+def _row_dict(row: Row) -> dict[str, object]:
     return {**asdict(row), "deviation_shown": row.deviation_shown}
 
 
-def print_result(result: Mapping[str, Any]) -> None:
+def print_result(result: Mapping[str, object]) -> None:
     """Print the result of `finish`."""
     rows = result["comparison"]
     if rows:

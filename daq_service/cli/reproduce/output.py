@@ -8,7 +8,6 @@ import json
 import math
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 from daq_service.cli.reproduce.item import Table
 from daq_service.errors import StorageError
@@ -56,7 +55,7 @@ def write_whole(path: Path, content: bytes) -> None:
         ) from error
 
 
-def write_json(path: Path, content: Mapping[str, Any]) -> None:
+def write_json(path: Path, content: Mapping[str, object]) -> None:
     """Write an object as JSON."""
     write_whole(path, (json.dumps(content, indent=1) + "\n").encode())
 
@@ -74,7 +73,7 @@ def csv_bytes(table: Table) -> bytes:
     return text.getvalue().encode()
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, float):  # numpy's float64 too

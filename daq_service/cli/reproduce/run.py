@@ -14,7 +14,6 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -83,7 +82,7 @@ def reproduce_into(
     executor: Executor,
     stop: threading.Event,
     report: Report,
-) -> tuple[dict[str, Any], bool]:
+) -> tuple[dict[str, object], bool]:
     """Compute `items` and write them to the folder `out`.
 
     Parameters
@@ -164,7 +163,7 @@ class _ProgressOfTenths:
             self._report(f"test: hour {due_h:g}, set {done} of {planned}")
 
 
-def _wait(future: Future[Any], stop: threading.Event) -> Any:
+def _wait(future: Future[object], stop: threading.Event) -> object:
     """Wait for a result or an interruption."""
     while not future.done():
         if stop.wait(POLL_S):
@@ -178,13 +177,13 @@ def _wait(future: Future[Any], stop: threading.Event) -> Any:
 def _make(
     run: Outcome,
     item: Item,
-    futures: Mapping[Job, Future[Any]],
+    futures: Mapping[Job, Future[object]],
     evidence: Future[Evidence] | None,
     stop: threading.Event,
     report: Report,
 ) -> None:
     """Wait for the inputs of an item, compute it, write its files."""
-    results: dict[str, Any] = {}
+    results: dict[str, object] = {}
     for name, job in item.jobs.items():
         try:
             results[name] = _wait(futures[job], stop)

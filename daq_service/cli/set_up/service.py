@@ -86,7 +86,7 @@ def systemd_units(
 ) -> dict[str, str]:
     """Return the units of recorder, web service and, if there is a supply, its process, by file name."""
     longest_s = math.ceil(longest_call_s(settings) + settings.rig.stall_timeout_s)
-    drive, supply = f"{name}-drive.service", settings.rig.driven
+    drive, supply = f"{name}-supply-process.service", settings.rig.driven
     units: dict[str, tuple[str, Lines, Lines]] = {
         "record": (
             "recorder",
@@ -118,8 +118,8 @@ def systemd_units(
         ),
     }
     if supply is not None:
-        units["drive"] = (
-            "corrosion drive",
+        units["supply-process"] = (
+            "supply process",
             [],
             [
                 ("Type", "notify"),  # before the recorder looks whether it has to start one
@@ -182,8 +182,7 @@ def _unit(
 
 
 def _command(command: str, config: PurePath, folder: PurePath) -> list[str]:
-    # After its last set the recorder stays and takes orders.
-    """Return the command line of a service."""
+    """Return the command line of a service; a recorder stays after its last set for commands."""
     linger = ["--linger"] if command == "record" else []
     return [*PROGRAM, command, str(config), "--data-dir", str(folder), *linger]
 
@@ -244,7 +243,9 @@ def windows_tasks(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> Mapping[str, str]:
     """Return the tasks of the supervisor and, if there is a supply, its process, by file name."""
-    commands = {name: "run", **({f"{name}-drive": "drive"} if settings.rig.driven is not None else {})}
+    commands = {name: "run"}
+    if settings.rig.driven is not None:
+        commands[f"{name}-supply-process"] = "supply-process"
     return {
         f"{task}.xml": TASK.format(
             title=escape(f"solimon {command}: {settings.name}"),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import click
 
@@ -55,7 +55,7 @@ def run_status(*, config: Path | None, data_dir: Path | None, as_json: bool, wat
     return EXIT_OK
 
 
-def _read_status(config: Path | None, data_dir: Path | None) -> tuple[Path, dict[str, Any]]:
+def _read_status(config: Path | None, data_dir: Path | None) -> tuple[Path, dict[str, object]]:
     """Read the status of a folder."""
     settings, folder = settings_of_folder(config, data_dir)
     refuse_other_folders(folder)

@@ -6,7 +6,6 @@ import logging
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.evidence import baseline_doubts
@@ -54,7 +53,7 @@ GAPS_A_POSITION = 5
 """So many of the newest gaps of a position are named."""
 
 
-def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
+def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
     """Read recorder, counts, gaps, commands, disk, supply, and the newest rows of each position.
 
     Raises
@@ -123,7 +122,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, Any]:
         }
 
 
-def _climate(row: EnvironmentRow | None) -> dict[str, Any] | None:
+def _climate(row: EnvironmentRow | None) -> dict[str, object] | None:
     """Return the climate of the newest set; None where there is no probe or no set yet."""
     if row is None or row.climate_quality == "absent":
         return None
@@ -140,7 +139,7 @@ def _lost_rows(folder: Path, catalogue: Catalogue) -> dict[str, str]:
     return {FILE_NAME: lacking} if lacking else {}
 
 
-def _newest_rows(latest: LatestRows) -> dict[str, Any]:
+def _newest_rows(latest: LatestRows) -> dict[str, object]:
     """Return the newest rows of a position."""
     names = ("last_set", "last_feature", "last_verdict", "last_thickness")
     rows_by_name = {name: None if (row := getattr(latest, name)) is None else values(row) for name in names}
@@ -154,7 +153,7 @@ def _newest_rows(latest: LatestRows) -> dict[str, Any]:
 
 def _present_state(
     folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LatestRows
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return what changes with time: state, age, limits, the interval of a thickness."""
     data_h, interval_m = data_hour(last), None
     if last.last_thickness is not None:
@@ -175,7 +174,7 @@ def _present_state(
     }
 
 
-def _rate_of(row: BaselineRow | None) -> dict[str, Any] | None:
+def _rate_of(row: BaselineRow | None) -> dict[str, object] | None:
     """Return the design false-alarm rate of a baseline and whether it is verified; None without baseline."""
     if row is None:
         return None
@@ -190,7 +189,7 @@ def _rate_of(row: BaselineRow | None) -> dict[str, Any] | None:
     }
 
 
-def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, Any]:
+def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, object]:
     """Return the number of confirmation sets, the newest result, and how many are left today."""
     rows = catalogue.rows(SetRow, purpose="confirmation")
     newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
@@ -217,7 +216,7 @@ def _next_due_h(settings: Settings, done: int) -> float | None:
     return hours[0] if hours else None
 
 
-def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
+def _open_orders(catalogue: Catalogue) -> list[dict[str, object]]:
     """Return the commands that wait for the recorder or are executed; not the expired ones."""
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
     commands_with_time = [(row, remaining_now_s(row)) for row in waiting]
@@ -229,9 +228,9 @@ def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
     ]
 
 
-def _gaps(catalogue: Catalogue) -> list[dict[str, Any]]:
+def _gaps(catalogue: Catalogue) -> list[dict[str, object]]:
     """Return the newest incomplete sets with positions and causes."""
-    found: dict[tuple[int, str, str | None], dict[str, Any]] = {}
+    found: dict[tuple[int, str, str | None], dict[str, object]] = {}
     for row in catalogue.newest_gaps(GAPS_A_POSITION):
         gap = {"set_index": row.set_index, "due_h": row.due_h, "state": row.state, "cause": row.cause}
         key = (row.set_index, row.state, row.cause)

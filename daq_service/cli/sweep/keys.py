@@ -56,7 +56,7 @@ def _keys_of(section: type, above: str) -> Iterator[str]:
             yield from _keys_of(table, key)
 
 
-def _tables_of(hint: Any) -> list[type]:
+def _tables_of(hint: object) -> list[type]:
     """Return the dataclasses that a value of this type may be: tables in the configuration."""
     if get_origin(hint) is Annotated:
         return _tables_of(get_args(hint)[0])
@@ -84,7 +84,7 @@ def check_key(key: str, model: str) -> None:
     raise UsageError(f"{key!r} is no key that can be swept; {hint}All keys: {', '.join(known)}")
 
 
-def changed(section: Any, changes: Mapping[tuple[str, ...], Any]) -> Any:
+def changed(section: object, changes: Mapping[tuple[str, ...], object]) -> object:
     """Return a section with changed values, validated like a configuration file.
 
     Parameters
@@ -118,7 +118,7 @@ def changed(section: Any, changes: Mapping[tuple[str, ...], Any]) -> Any:
     return section_changed
 
 
-def value_at(section: Any, path: tuple[str, ...]) -> Any:
+def value_at(section: object, path: tuple[str, ...]) -> object:
     """Return the value of a key below its section."""
     for name in path:
         section = getattr(section, name)

@@ -10,7 +10,6 @@ import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -123,7 +122,7 @@ def parquet_bytes(table: SweepTable) -> bytes:
     return buffer.getvalue()
 
 
-def _pyarrow() -> Any:
+def _pyarrow() -> object:
     try:
         import pyarrow
     except ImportError as error:

@@ -135,14 +135,14 @@ def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> No
         )
 
 
-def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: Any) -> Any:
+def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: object) -> object:
     """Yield the rows; a section that combinations share is created and hashed once."""
     paths = [tuple(key.split(".")) for key in keys]
     places = {name: [k for k, path in enumerate(paths) if path[0] == name] for name in SECTIONS}
     bases = dict(zip(SECTIONS, base, strict=True))
 
     @cache
-    def section(name: str, given: str) -> tuple[Any, str, str]:
+    def section(name: str, given: str) -> tuple[object, str, str]:
         """Make a section from values as JSON: itself, its hash, or the reason of its refusal."""
         values = json.loads(given)
         changes = {paths[k][1:]: value for k, value in zip(places[name], values, strict=True)}
@@ -179,16 +179,16 @@ def code_version() -> str:
     )
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     """Convert a swept value to JSON: a table of parameters becomes its content."""
     return value if isinstance(value, (bool, int, float, str, type(None))) else json.loads(json_text(value))
 
 
-def json_text(value: Any) -> str:
+def json_text(value: object) -> str:
     """Return a value of the configuration as JSON, parameter tables included."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), default=asdict)
 
 
-def _sha256(content: Any) -> str:
+def _sha256(content: object) -> str:
     """Compute the SHA-256 of an object's JSON."""
     return hashlib.sha256(json_text(content).encode()).hexdigest()

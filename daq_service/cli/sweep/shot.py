@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,7 +141,7 @@ def _plate(plate: PlateParameters, outline: CorrosionParameters) -> _CachedPlate
     return None if modal is None else _CachedPlate(modal)
 
 
-def coupled_numbers(force: ShotForce) -> dict[str, Any]:
+def coupled_numbers(force: ShotForce) -> dict[str, object]:
     """Return peaks, times and integration quality of a shot; None if nothing was reflected."""
     return {
         **asdict(summarise(force)),
@@ -154,7 +153,7 @@ def coupled_numbers(force: ShotForce) -> dict[str, Any]:
 
 def zener_numbers(
     chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Compute Zener's impact of the last sphere."""
     row = asdict(reflect(chain, plate, depth_fraction=corrosion.depth_fraction))
     return {"tof_us": 1e6 * row.pop("tof_s"), **row}

@@ -99,7 +99,7 @@ def _items(text: str) -> list[str]:
     return [*items, text[start:].strip()]
 
 
-def _values_of(item: str, text: str) -> list[Any]:
+def _values_of(item: str, text: str) -> list[object]:
     parts = item.split(":")
     if len(parts) == 1 or item[0] in '[{"':
         return [_value(item)]
@@ -135,7 +135,7 @@ def spaced(first: float, last: float, count: int, *, logarithmic: bool = False) 
     return [float(values[0]), *(float(f"{value:.15g}") for value in values[1:-1]), float(values[-1])]
 
 
-def _value(text: str) -> Any:
+def _value(text: str) -> object:
     """Read a number, true, false, null or a bracketed list as JSON does; anything else is the text itself."""
     try:
         return json.loads(text)

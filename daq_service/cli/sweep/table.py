@@ -56,7 +56,7 @@ class SweepTable:
         return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
 
-def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, Any]) -> SweepTable:
+def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, object]) -> SweepTable:
     """Arrange the outcomes of a plan, given in the order of its rows.
 
     Parameters
@@ -104,11 +104,11 @@ def content_hash(plan: Plan, outcomes: Sequence[Outcome]) -> str:
     return digest.hexdigest()
 
 
-def _line(cells: list[Any]) -> bytes:
+def _line(cells: list[object]) -> bytes:
     return f"{json_text(cells)}\n".encode()
 
 
-def _column(values: list[Any]) -> Column:
+def _column(values: list[object]) -> Column:
     """Keep numbers of one kind as numbers; text or a mixture becomes text."""
     kinds = {type(value) for value in values}
     if kinds <= {int, float} and kinds != {int}:
@@ -120,7 +120,7 @@ def _column(values: list[Any]) -> Column:
     return [value if isinstance(value, str) else json_text(value) for value in values]
 
 
-def _plain_list(values: Column) -> list[Any]:
+def _plain_list(values: Column) -> list[object]:
     if isinstance(values, list):
         return values
     cells = values.tolist()

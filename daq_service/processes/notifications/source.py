@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import MEASURED_BY, AlarmRow, EventRow, FeatureRow
@@ -81,7 +80,7 @@ class Source:
             if settings is None or item.set_index is None:
                 continue
             kind = MEASURED_BY[settings.method]
-            filters: Any = {"scope": "set"} if kind is FeatureRow else {}
+            filters: object = {"scope": "set"} if kind is FeatureRow else {}
             rows = self._catalogue().rows(
                 kind, position=item.position, set_index=item.set_index, limit=1, **filters
             )
@@ -89,7 +88,7 @@ class Source:
                 qualities[item.event_id] = rows[0].quality
         return qualities
 
-    def read_heartbeat_facts(self) -> dict[str, Any]:
+    def read_heartbeat_facts(self) -> dict[str, object]:
         """Return the status of the recorder and the ages of the last set (h of the test) and write (s)."""
         try:
             catalogue = self._catalogue()

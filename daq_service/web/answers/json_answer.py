@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import orjson
@@ -19,7 +18,7 @@ class JsonAnswer(JSONResponse):
     A subclass of `JSONResponse`, by which FastAPI knows that the response model describes the body.
     """
 
-    def render(self, content: Any) -> bytes:
+    def render(self, content: object) -> bytes:
         """Return the content as JSON bytes."""
         return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
 
@@ -48,13 +47,13 @@ def rfc3339_of_hours(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
     return [f"{stamp}{fraction}" for stamp in np.datetime_as_string(seconds.astype("datetime64[s]")).tolist()]
 
 
-def with_utc(row: Mapping[str, Any], epoch_utc_ns: int) -> dict[str, Any]:
+def with_utc(row: Mapping[str, object], epoch_utc_ns: int) -> dict[str, object]:
     """Return a row with RFC 3339 times, as it leaves the service.
 
     ``*_utc_ns`` becomes ``*_utc`` (JavaScript cannot hold the integers), and each hour of the
     experiment ``*_h`` gets its ``*_utc`` unless the row has one already.
     """
-    answer: dict[str, Any] = {}
+    answer: dict[str, object] = {}
     for key, value in row.items():
         if key == "utc_ns" or key.endswith("_utc_ns"):
             answer[key.removesuffix("_ns")] = rfc3339(value)

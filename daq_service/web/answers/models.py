@@ -21,7 +21,7 @@ from hardware_drivers.methods import Method
 
 A = TypeVar("A", bound="Answer")
 
-PROBLEMS: dict[int | str, dict[str, Any]] = {
+PROBLEMS: dict[int | str, dict[str, object]] = {
     status: {
         "description": text,
         "content": {MEDIA_TYPE: {"schema": {"$ref": "#/components/schemas/ProblemDetails"}}},
@@ -41,13 +41,13 @@ PROBLEMS: dict[int | str, dict[str, Any]] = {
 }
 
 
-def problem_schemas() -> dict[str, Any]:
+def problem_schemas() -> dict[str, object]:
     """Return the JSON schemas of error answers, for the components of OpenAPI."""
     schema = ProblemDetails.model_json_schema(ref_template="#/components/schemas/{model}")
     return {**schema.pop("$defs"), "ProblemDetails": schema}
 
 
-def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
+def problems(*statuses: int) -> dict[int | str, dict[str, object]]:
     """Return the documentation of the error answers of a route."""
     return {status: PROBLEMS[status] for status in statuses}
 
@@ -65,7 +65,7 @@ def _of_row(kind: type[rows.Row]) -> Callable[[type[A]], type[A]]:
     """
 
     def derive(answer: type[A]) -> type[A]:
-        fields: dict[str, Any] = {}
+        fields: dict[str, object] = {}
         for column in rows.columns_of(kind):
             if column.name == "due_utc_ns":
                 continue
@@ -601,10 +601,10 @@ TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS)
 
 def _trend_columns() -> type[Answer]:
     of_assessment = {column.name: column for column in rows.columns_of(rows.AssessmentRow)}
-    kinds: dict[str, Any] = dict.fromkeys(TREND_FIELDS, float | None)
+    kinds: dict[str, object] = dict.fromkeys(TREND_FIELDS, float | None)
     kinds |= {name: of_assessment[name].type for name in TREND_ASSESSMENTS}
     kinds |= {"set_index": int, "due_h": float, "due_utc": str, "age_h": float, "quality": Quality | None}
-    fields: dict[str, Any] = {
+    fields: dict[str, object] = {
         name: (list[kind | None], Field(default_factory=list))  # type: ignore[valid-type] # a value here
         for name, kind in kinds.items()
     }

@@ -14,7 +14,6 @@ import re
 import ssl
 from http.cookies import CookieError, SimpleCookie
 from pathlib import Path
-from typing import Any
 from urllib.parse import urlsplit
 
 from starlette.datastructures import Headers
@@ -232,7 +231,7 @@ def person_at(connection: HTTPConnection) -> Person:
     Problem
         401: not logged in.
     """
-    person: Any = getattr(connection.state, "person", None)
+    person: object = getattr(connection.state, "person", None)
     if person is None:
         raise token_required()
     assert isinstance(person, Person)

@@ -178,7 +178,7 @@ export class SolimonAlarms extends HTMLElement {
         ),
       );
     if (CONFIRMABLE.has(alarm.kind) && alarm.state !== "normal")
-      offer("confirm", "confirm", "Strike again now", (pressed) => this.strikeConfirmation(alarm, pressed), {
+      offer("strike", "strike", "Take confirmation set", (pressed) => this.strikeConfirmation(alarm, pressed), {
         "aria-label": `Strike a confirmation set at ${alarm.position} now`,
       });
     const at = `hour ${hour(alarm.raised_h)}`;
@@ -322,7 +322,7 @@ export class SolimonAlarms extends HTMLElement {
 
   /** @param {any} alarm @param {HTMLButtonElement} button */
   async strikeConfirmation(alarm, button) {
-    await sendByButton(button, "confirm", { position: alarm.position }, (detail) =>
+    await sendByButton(button, "strike", { position: alarm.position }, (detail) =>
       this.dispatchEvent(new CustomEvent("trouble", { detail })),
     );
   }

@@ -48,15 +48,15 @@ export class DisabledTransducers {
       chip(STATES.retired),
       el("p", {}, el("strong", { text: `Position ${position}: ` }), reason),
     );
-    if (this.acceptsCommands && isAllowed("reinstate")) {
+    if (this.acceptsCommands && isAllowed("enable")) {
       const status = this.commandStatus.get(position);
       const button = el("button", {
         class: "button small",
         type: "button",
         "data-enable": position,
         disabled: status !== undefined,
-        text: status ?? "Reinstate",
-        "aria-label": `${status ?? "Reinstate"}: position ${position}`,
+        text: status ?? "Enable",
+        "aria-label": `${status ?? "Enable"}: position ${position}`,
       });
       button.addEventListener("click", () => this.enable(position));
       row.append(button);
@@ -68,13 +68,13 @@ export class DisabledTransducers {
   async enable(position) {
     const paragraphs = [
       `Position ${position} strikes again from the next set on: hands out of the rig. The alarm that ` +
-        "retired it is reset.",
-      "To take it back, retire it again.",
+        "disabled it is reset.",
+      "To undo it, disable it again.",
     ];
     const answers = await askConfirmation({
-      title: `Reinstate position ${position}`,
+      title: `Enable position ${position}`,
       paragraphs,
-      submitLabel: `Reinstate ${position}`,
+      submitLabel: `Enable ${position}`,
     });
     if (answers === null) return;
     const report = (/** @type {string} */ text) => {
@@ -82,7 +82,7 @@ export class DisabledTransducers {
       this.render();
     };
     try {
-      await sendCommand("reinstate", { position }, report);
+      await sendCommand("enable", { position }, report);
     } catch (error) {
       this.onTrouble(/** @type {Error} */ (error).message);
     }

@@ -49,7 +49,7 @@ export const STATES = {
   shelved: { label: "Shelved", icon: "pause", tone: "warn" },
   out_of_service: { label: "Out of service", icon: "pause", tone: "warn" },
   alarm: { label: "Alarm", icon: "bell", tone: "alarm" },
-  retired: { label: "Retired", icon: "stop", tone: "alarm" },
+  retired: { label: "Disabled", icon: "stop", tone: "alarm" },
 };
 
 /** @type {Record<string, Look>} */

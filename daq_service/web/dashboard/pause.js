@@ -22,16 +22,19 @@ export class PauseControl {
   update(pausedBy, recorder) {
     const acceptsCommands = recorder !== "finished" && recorder !== "stopped";
     this.banner.hidden = pausedBy === null;
-    this.button.hidden = pausedBy !== null || !acceptsCommands || !isAllowed("hold");
-    this.resumeButton.hidden = !acceptsCommands || !isAllowed("release");
+    this.button.hidden = pausedBy !== null || !acceptsCommands || !isAllowed("pause");
+    this.resumeButton.hidden = !acceptsCommands || !isAllowed("resume");
     setText(byId("paused-reason"), pausedBy === null ? "" : `${pausedBy[0].toUpperCase()}${pausedBy.slice(1)}`);
   }
 
   async pause() {
     const answers = await askConfirmation({
-      title: "Hold the test",
-      paragraphs: ["The strike that is under way ends, none follows, and a restart does not end the hold."],
-      submitLabel: "Hold now",
+      title: "Pause the test",
+      paragraphs: [
+        "The strike that is under way ends, none follows, and a restart does not end the pause.",
+        "Pausing does not isolate energy. Open the cut-out before you reach in.",
+      ],
+      submitLabel: "Pause test",
       // To pause is the safe choice itself: the field that it needs has the focus.
       fields: [
         {
@@ -42,18 +45,18 @@ export class PauseControl {
         },
       ],
     });
-    if (answers) await sendByButton(this.button, "hold", answers, this.onTrouble);
+    if (answers) await sendByButton(this.button, "pause", answers, this.onTrouble);
   }
 
   async resume() {
     const answers = await askConfirmation({
-      title: "Release the test",
+      title: "Resume the test",
       paragraphs: [
         "Strikers move again from the next due set on: hands out of the rig, doors shut.",
-        "To take it back, hold the test again.",
+        "To undo it, pause the test again.",
       ],
-      submitLabel: "Release now",
+      submitLabel: "Resume test",
     });
-    if (answers) await sendByButton(this.resumeButton, "release", {}, this.onTrouble);
+    if (answers) await sendByButton(this.resumeButton, "resume", {}, this.onTrouble);
   }
 }

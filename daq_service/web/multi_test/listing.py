@@ -52,7 +52,7 @@ class Listing:
         self._lock = threading.Lock()
         self._cached: dict[str, _CachedEntry] = {}
 
-    def entries(self) -> list[dict[str, Any]]:
+    def entries(self) -> list[dict[str, object]]:
         """Return the entries, and read those again that may have changed; blocks on files."""
         with self._lock:
             for test in self._tests.all.values():
@@ -71,7 +71,7 @@ class Listing:
         """Return the number of tests that could be shown at their last read."""
         return sum(cached.entry["state"] == "shown" for cached in list(self._cached.values()))
 
-    def _entry(self, test: ServedTest) -> dict[str, Any]:
+    def _entry(self, test: ServedTest) -> dict[str, object]:
         page = f"/tests/{test.name}/"
         entry = {
             "test": test.name,
@@ -106,7 +106,7 @@ def _mark_of(folder: Path) -> tuple[int, ...]:
     return tuple(marks)
 
 
-def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[str, Any]:
+def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[str, object]:
     fresh = Freshness(folder, catalogue, settings.clock.kind)
     summaries = catalogue.positions_state()
     hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
@@ -142,7 +142,7 @@ def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> di
     }
 
 
-def _position(settings: Settings, fresh: Freshness, name: str, summary: LatestRows) -> dict[str, Any]:
+def _position(settings: Settings, fresh: Freshness, name: str, summary: LatestRows) -> dict[str, object]:
     settings_of_position, data_h = settings.positions[name], data_hour(summary)
     age_h = None if data_h is None else fresh.age_h(data_h)
     return {

@@ -10,7 +10,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any
 
 from daq_service.archive import ArchiveError, FolderSetReader
 from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
@@ -56,7 +55,7 @@ OF_ASSESSMENTS = (
 )
 OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "quality")
 
-Columns = Mapping[str, list[Any]]
+Columns = Mapping[str, list[object]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -127,7 +126,7 @@ class Contents:
     wall_age_s: float | None
     recorder: str
     held: str | None
-    rig_identity: Mapping[str, Any]
+    rig_identity: Mapping[str, object]
     n_files: int
     files_sha256: str
     extractors: Sequence[str]

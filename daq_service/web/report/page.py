@@ -7,7 +7,6 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.metadata import version
-from typing import Any
 
 from daq_service.alarms.evidence import proof_sentences
 from daq_service.alarms.states import NOT_ASSESSED
@@ -148,7 +147,7 @@ def _alarm_rule_rows(settings: Settings) -> list[Row]:
 
 def _state_table(contents: Contents) -> list[str]:
     pause_note = (
-        [] if contents.held is None else [f"<p><strong>On hold: {escape(contents.held)}.</strong></p>"]
+        [] if contents.held is None else [f"<p><strong>Paused: {escape(contents.held)}.</strong></p>"]
     )
     written = (
         "nothing is stored" if contents.wall_age_s is None else f"{contents.wall_age_s:.0f} s before this"
@@ -381,7 +380,7 @@ def _configuration(contents: Contents) -> list[str]:
     return ["<p class='note'>As the test was begun.</p>", f"<pre>{escape(text)}</pre>"]
 
 
-def plain_text(value: Any) -> str:
+def plain_text(value: object) -> str:
     """Return any value of a row as text."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {plain_text(item)}" for name, item in value.items())

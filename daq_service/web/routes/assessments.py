@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 from fastapi import APIRouter
 
@@ -18,7 +17,9 @@ from daq_service.web.tables.quality import assessed_qualities
 router = APIRouter(tags=["verdicts"])
 
 
-def with_quality(context: Context, fresh: Freshness, rows: Sequence[AssessmentRow]) -> list[dict[str, Any]]:
+def with_quality(
+    context: Context, fresh: Freshness, rows: Sequence[AssessmentRow]
+) -> list[dict[str, object]]:
     """Return assessments for an answer, each with the quality of its feature or thickness."""
     methods = {name: place.method for name, place in context.settings.positions.items()}
     qualities = assessed_qualities(context.catalogue(), methods, rows)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import asdict
 from datetime import UTC, datetime, timedelta
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 from pydantic import AwareDatetime, BeforeValidator
@@ -25,7 +25,7 @@ router = APIRouter(tags=["audit"])
 AUDITED_OPERATIONS = sorted({*OPERATIONS, *ORDERS, "enter"})
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 Who = Annotated[str | None, Query(max_length=80, description="Only of this name")]
-What = Annotated[str | None, Query(max_length=600, description="Only these, comma-separated: hold,release")]
+What = Annotated[str | None, Query(max_length=600, description="Only these, comma-separated: pause,resume")]
 WithResult = Annotated[Result | None, Query(description="Only with this result")]
 RFC_3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
 
@@ -107,7 +107,7 @@ def _utc_ns(moment: datetime | None) -> int | None:
     return None if moment is None else (moment - EPOCH) // timedelta(microseconds=1) * 1000
 
 
-def _item(context: Context, number: int, entry: AuditEntry) -> dict[str, Any]:
+def _item(context: Context, number: int, entry: AuditEntry) -> dict[str, object]:
     outcome = None if entry.command_id is None else _outcome(context, entry.command_id)
     return with_utc({"id": number, **asdict(entry), "outcome": outcome}, 0)
 

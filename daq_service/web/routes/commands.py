@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request
 from pydantic import Field
@@ -58,7 +58,7 @@ async def _execute_dependency(context: ContextOf, request: Request, person: Pers
 
 
 ExecuteOf = Annotated[ExecuteCommand, Depends(_execute_dependency)]
-ACCEPTS: Any = {
+ACCEPTS: object = {
     "status_code": 202,
     "response_model": CommandRow,
     "responses": problems(400, 403, 404, 409, 413, 422, 503),
@@ -157,7 +157,7 @@ def _facts(context: Context, catalogue: Catalogue) -> Facts:
     )
 
 
-def _row(context: Context, command_id: int) -> dict[str, Any]:
+def _row(context: Context, command_id: int) -> dict[str, object]:
     state_and_time = command_state(context.catalogue(), command_id)
     if state_and_time is None:
         raise not_found(

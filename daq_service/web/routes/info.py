@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastapi import APIRouter
 
 from daq_service.acquisition import schedule
@@ -95,11 +93,11 @@ def _named_limits() -> list[dict[str, str]]:
     ]
 
 
-def _supply(drive: DriveParameters | None) -> dict[str, Any] | None:
+def _supply(drive: DriveParameters | None) -> dict[str, object] | None:
     return None if drive is None else {name: getattr(drive, name) for name in SupplyInfo.model_fields}
 
 
-def _current_request(catalogue: Catalogue, fresh: Freshness) -> dict[str, Any] | None:
+def _current_request(catalogue: Catalogue, fresh: Freshness) -> dict[str, object] | None:
     """Return the present request to a person, while a recorder waits for it."""
     event = catalogue.last_service_event("asked", "asked_over")
     if event is None or event.kind != "asked" or fresh.recorder.status != "running":

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import chain
-from typing import Any, get_args
+from typing import get_args
 
 from fastapi import APIRouter, Request
 from prometheus_client import CollectorRegistry
@@ -34,7 +34,7 @@ S_PER_H = 3600.0
 
 Sample = tuple[tuple[str, ...], float | None]
 """Values of the labels, and the number; None is omitted."""
-OPENMETRICS: dict[int | str, dict[str, Any]] = {
+OPENMETRICS: dict[int | str, dict[str, object]] = {
     200: {"content": {"application/openmetrics-text": {"schema": {"type": "string"}}}},
     **problems(503),
 }
@@ -146,7 +146,7 @@ def _of_positions(context: Context, fresh: Freshness, summaries: dict[str, Lates
         for name, summary in summaries.items()
     }
 
-    def position_gauge(name: str, description: str, value: Any) -> Metric:
+    def position_gauge(name: str, description: str, value: object) -> Metric:
         return _gauge(
             name,
             description,
@@ -154,10 +154,10 @@ def _of_positions(context: Context, fresh: Freshness, summaries: dict[str, Lates
             of_position,
         )
 
-    def value_of(row: str, column: str) -> Any:
+    def value_of(row: str, column: str) -> object:
         return lambda summary: getattr(getattr(summary, row), column, None)
 
-    def limit_of_row(row: str) -> Any:
+    def limit_of_row(row: str) -> object:
         return lambda summary: None if getattr(summary, row) is None else limit_of(summary, context.settings)
 
     schedule = context.settings.schedule

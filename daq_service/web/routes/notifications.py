@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import asdict
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Request
 
@@ -91,7 +91,7 @@ def test_receiver(
     )
 
 
-def _receiver(context: Context, queue: ReceiverQueue) -> dict[str, Any]:
+def _receiver(context: Context, queue: ReceiverQueue) -> dict[str, object]:
     settings, state, now_ns = (
         context.notifications.settings.receivers[queue.name],
         queue.state,
@@ -120,7 +120,7 @@ def _state_name(state: State, now_ns: int) -> str:
     return "waiting" if state.waiting else "idle"
 
 
-def _heartbeat(settings: ReceiverSettings, state: State) -> dict[str, Any] | None:
+def _heartbeat(settings: ReceiverSettings, state: State) -> dict[str, object] | None:
     if settings.heartbeat_s is None:
         return None
     return with_utc(

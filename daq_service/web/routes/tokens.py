@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Request
 from pydantic import Field
@@ -85,7 +85,7 @@ def revoke_access_token(
     return JsonAnswer(token_row(token))
 
 
-def token_row(token: Token) -> dict[str, Any]:
+def token_row(token: Token) -> dict[str, object]:
     """Return the public data of a token."""
     return {
         name: getattr(token, name)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastapi import APIRouter
 
 from daq_service.alarms.states import SEVERITIES, retired_positions
@@ -45,7 +43,7 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     return JsonAnswer(_state(context, context.freshness(), position, state))
 
 
-def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, Any]:
+def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, object]:
     place = context.settings.positions[name]
     last = fresh.standing_word(stored or LatestRows(position=name, method=place.method))
     assessment, alarms = last.last_verdict, last.active_alarms
@@ -73,5 +71,5 @@ def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | N
     }
 
 
-def _row(fresh: Freshness, row: Row | None) -> dict[str, Any] | None:
+def _row(fresh: Freshness, row: Row | None) -> dict[str, object] | None:
     return None if row is None else fresh.row(row)

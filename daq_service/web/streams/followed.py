@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable
-from typing import Any
 
 
 class Followed:
@@ -62,7 +61,7 @@ class Followed:
         """Body of the thread, until `_stop` is set."""
         raise NotImplementedError
 
-    def _pass_on(self, function: Callable[..., None], *arguments: Any) -> None:
+    def _pass_on(self, function: Callable[..., None], *arguments: object) -> None:
         """Call a function on the event loop, from the thread."""
         try:
             self._loop.call_soon_threadsafe(function, *arguments)

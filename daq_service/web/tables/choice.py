@@ -39,7 +39,7 @@ ALWAYS = (
 )
 """Columns that identify rows and state their quality: these are always exported."""
 
-Columns = Mapping[str, list[Any]]
+Columns = Mapping[str, list[object]]
 """Values of a page by column, nested ones as JSON text; None: not available."""
 
 
@@ -177,7 +177,7 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
     while True:
         rows: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **filters)
         if rows or is_first:
-            selected: list[Any] = [
+            selected: list[object] = [
                 row for row in rows if by_set or _is_inside(choice, row.raised_h, row.raised_h)
             ]
             if not by_set:
@@ -214,9 +214,9 @@ def _is_inside(choice: Choice, first_h: float, last_h: float) -> bool:
     )
 
 
-def _by_column(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Columns:
+def _by_column(rows: Sequence[Mapping[str, object]], names: Sequence[str]) -> Columns:
     return {name: [_plain(row[name]) for row in rows] for name in names}
 
 
-def _plain(value: Any) -> Any:
+def _plain(value: object) -> object:
     return json.dumps(value) if isinstance(value, dict | list) else value

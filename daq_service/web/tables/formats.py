@@ -35,7 +35,7 @@ from daq_service.web.tables.choice import Choice, Columns
 MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 _ARROW = {"number": "float64", "integer": "int64", "truth": "bool_"}
 
-Facts = Mapping[str, Any]
+Facts = Mapping[str, object]
 Write = Callable[[Choice, Facts, Iterable[Columns]], Iterator[bytes]]
 
 
@@ -66,7 +66,7 @@ def _csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[byt
         text.truncate()
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -87,7 +87,7 @@ class _Drain(io.RawIOBase):
         """Return True."""
         return True
 
-    def write(self, content: Any) -> int:
+    def write(self, content: object) -> int:
         """Append bytes to the buffer."""
         n_bytes = len(memoryview(content).cast("B"))
         self._waiting += content
@@ -129,14 +129,14 @@ def _arrow_like(kind: str) -> Write:
     return write
 
 
-def arrow_field(arrow: Any, column: PublishedColumn) -> Any:
+def arrow_field(arrow: object, column: PublishedColumn) -> object:
     """Return the Arrow field of a column, with its unit."""
     kind = arrow.timestamp("ns", tz="UTC") if column.form == "time" else None
     kind = kind or getattr(arrow, _ARROW.get(column.form, "string"))()
     return arrow.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
 
 
-def arrow_array(arrow: Any, of_type: Any, values: list[Any]) -> Any:
+def arrow_array(arrow: object, of_type: object, values: list[object]) -> object:
     """Return the values of a column as Arrow array; None is null."""
     if arrow.types.is_timestamp(of_type):
         return arrow.array(values, type=arrow.string()).cast(of_type)
@@ -168,7 +168,7 @@ def _arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dic
     return dict(zip([column.name for column in columns], joined, strict=True))
 
 
-def as_array(column: PublishedColumn, values: list[Any]) -> NDArray[Any]:
+def as_array(column: PublishedColumn, values: list[object]) -> NDArray[Any]:
     """Return the values of a column as an array; missing ones are NaN, -1 or empty."""
     if column.form == "number":
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)

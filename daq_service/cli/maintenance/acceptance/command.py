@@ -1,4 +1,4 @@
-"""Run ``certify``: write the acceptance report for a terminal, as a page, as JSON."""
+"""Run ``acceptance-report``: write the acceptance report for a terminal, as a page, as JSON."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 from pydantic import ValidationError
 
-from daq_service.cli.maintenance.acceptance.contents import Certificate, as_json, certificate
+from daq_service.cli.maintenance.acceptance.contents import AcceptanceReport, as_json, build_report
 from daq_service.cli.maintenance.acceptance.criteria import with_limits
 from daq_service.cli.maintenance.acceptance.evidence import read_evidence
 from daq_service.cli.maintenance.acceptance.page import asked, interval, page
@@ -21,7 +21,7 @@ from daq_service.shared_file import HINT_SUFFIX, write_durably
 STANDARD_OUTPUT = "-"
 
 
-def certify(
+def write_acceptance_report(
     *,
     data_dir: Path,
     html: Path | None,
@@ -46,7 +46,7 @@ def certify(
     for target in filter(None, (html, json_file)):
         _refuse(data_dir, target, overwrite=overwrite)
     try:
-        report = certificate(
+        report = build_report(
             read_evidence(data_dir, verify_folder(data_dir, progress) if verify else None), criteria
         )
     except ValidationError as error:
@@ -66,7 +66,7 @@ def certify(
     return EXIT_OK if report.outcome == "pass" else EXIT_NOT_MET
 
 
-def _lines(report: Certificate) -> list[str]:
+def _lines(report: AcceptanceReport) -> list[str]:
     """Return the lines for a terminal."""
     rows = [
         (item.state, item.quantity.text, asked(item), interval(item.quantity), item.why)
@@ -77,7 +77,7 @@ def _lines(report: Certificate) -> list[str]:
         "  ".join([*(cell.ljust(width) for cell, width in zip(row, widths, strict=False)), row[4]]).rstrip()
         for row in rows
     ]
-    return [*lines, *(f"note: {note}" for note in report.notes), f"verdict: {report.outcome}"]
+    return [*lines, *(f"note: {note}" for note in report.notes), f"outcome: {report.outcome}"]
 
 
 def _refuse(folder: Path, target: Path, *, overwrite: bool) -> None:

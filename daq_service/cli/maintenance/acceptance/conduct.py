@@ -72,7 +72,7 @@ def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
     )
     yield quantity(
         "span_h",
-        "time that this certificate covers",
+        "time that this report covers",
         "h",
         "from hour 0 to now, or to the last that is stored of a test that has ended or is simulated",
         evidence.hour(evidence.now_ns),

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
 
 from daq_service.cli.maintenance.acceptance import conduct, faults, sets
 from daq_service.cli.maintenance.acceptance.criteria import Comparison, Criterion, compared, outcome
@@ -21,7 +20,7 @@ SHAPE = "1"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Certificate:
+class AcceptanceReport:
     """Contents of page and JSON; ``gaps`` are ranges of hours."""
 
     made_utc: str
@@ -40,7 +39,7 @@ class Certificate:
         return outcome(self.comparisons)
 
 
-def certificate(evidence: Evidence, criteria: Sequence[Criterion]) -> Certificate:
+def build_report(evidence: Evidence, criteria: Sequence[Criterion]) -> AcceptanceReport:
     """Compute the contents of the report."""
     quantities = [
         *sets.set_quantities(evidence),
@@ -52,7 +51,7 @@ def certificate(evidence: Evidence, criteria: Sequence[Criterion]) -> Certificat
         *conduct.clock_quantities(evidence),
         *faults.fault_quantities(evidence),
     ]
-    return Certificate(
+    return AcceptanceReport(
         made_utc=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         made_by=f"solimon {version('solimon')}",
         identity=_identity(evidence),
@@ -105,7 +104,7 @@ def _identity(evidence: Evidence) -> dict[str, str]:
     }
 
 
-def _listed(values: Mapping[str, Any]) -> str:
+def _listed(values: Mapping[str, object]) -> str:
     """Join names and values."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
@@ -125,20 +124,20 @@ def _notes(evidence: Evidence) -> list[str]:
             "Simulated time: hours are those of the test; the wall time of the line is the computer's."
         )
     if evidence.recorder.status == "running":
-        notes.append("The test goes on: this is how it stood when the certificate was made.")
+        notes.append("The test is still running: later sets are not included.")
     if evidence.verified is not None:
         notes += [f"verify, {item.file}: {item.told}" for item in evidence.verified.damage]
         notes += evidence.verified.notes
     return notes
 
 
-def as_json(report: Certificate) -> dict[str, Any]:
+def as_json(report: AcceptanceReport) -> dict[str, object]:
     """Return the report as a JSON object; units are values or endings of names."""
     return {
-        "solimon_certificate": SHAPE,
+        "solimon_acceptance_report": SHAPE,
         "made_utc": report.made_utc,
         "made_by": report.made_by,
-        "verdict": report.outcome,
+        "outcome": report.outcome,
         "criteria": [
             {
                 "quantity": item.criterion.quantity,
@@ -173,7 +172,7 @@ def as_json(report: Certificate) -> dict[str, Any]:
     }
 
 
-def _as_object(item: Quantity) -> dict[str, Any]:
+def _as_object(item: Quantity) -> dict[str, object]:
     """Return a quantity without its name."""
     fields = asdict(item)
     del fields["name"]

@@ -10,7 +10,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.archive import ArchiveError, FolderSetReader
@@ -72,7 +71,7 @@ class Evidence:
     machine: Sequence[EventRow]
     alarm_events: Sequence[EventRow]
     alarms: Sequence[AlarmRow]
-    provenance: Mapping[str, Any]
+    provenance: Mapping[str, object]
     file_bytes: Mapping[int, int]
     forecast_bytes: float
     recorder: RecorderState
@@ -182,7 +181,7 @@ def _due(planned: Sequence[DueSet], sets: Sequence[SetRow], now_ns: int) -> int:
     return max(n_with_rows, n_ended)
 
 
-def _provenance(folder: Path) -> Mapping[str, Any]:
+def _provenance(folder: Path) -> Mapping[str, object]:
     """Return the provenance of the newest readable set."""
     reader = FolderSetReader(folder)
     for reference in list(reader.sets().values())[::-1]:

@@ -6,9 +6,8 @@ import base64
 from collections.abc import Iterable, Mapping
 from html import escape
 from itertools import groupby
-from typing import Any
 
-from daq_service.cli.maintenance.acceptance.contents import Certificate
+from daq_service.cli.maintenance.acceptance.contents import AcceptanceReport
 from daq_service.cli.maintenance.acceptance.criteria import Comparison
 from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table
 
@@ -20,9 +19,9 @@ body { font: 14px/1.45 system-ui, sans-serif; color: var(--ink); max-width: 64re
 header { border-bottom: 3px solid var(--ink); padding-bottom: .8rem }
 h1 { font-size: 1.5rem; margin: 0 } h2 { font-size: 1.1rem; margin: 2rem 0 .4rem }
 h3 { font-size: .95rem; margin: 1.2rem 0 .2rem }
-.verdict { display: flex; gap: 1rem; align-items: baseline; margin: 1rem 0; padding: .7rem 1rem;
+.outcome { display: flex; gap: 1rem; align-items: baseline; margin: 1rem 0; padding: .7rem 1rem;
            border: 2px solid; border-radius: 6px }
-.verdict b { font-size: 1.5rem; letter-spacing: .04em; text-transform: uppercase }
+.outcome b { font-size: 1.5rem; letter-spacing: .04em; text-transform: uppercase }
 .pass { color: var(--good) } .fail { color: var(--bad) } .undecided, .incomplete { color: var(--open) }
 .aside, .note { color: var(--soft) } .note { font-size: .88rem }
 table { border-collapse: collapse; width: 100%; font-size: .88rem }
@@ -50,7 +49,7 @@ _MARKS = {"pass": "✓", "fail": "✗", "undecided": "?", "does not apply": "·"
 SCALES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
-def page(report: Certificate, pictures: Mapping[str, bytes]) -> bytes:
+def page(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> bytes:
     """Return the HTML of the report.
 
     Parameters
@@ -58,7 +57,7 @@ def page(report: Certificate, pictures: Mapping[str, bytes]) -> bytes:
     pictures
         PNG of each series that has values, by its name.
     """
-    title = f"Certificate of the test {report.identity['test']}"
+    title = f"Acceptance report of the test {report.identity['test']}"
     quantities = groupby(report.quantities, key=lambda item: item.section)
     parts = [
         "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
@@ -67,7 +66,7 @@ def page(report: Certificate, pictures: Mapping[str, bytes]) -> bytes:
         f"<header><h1>{escape(title)}</h1>",
         f"<p class='note'>Made at {report.made_utc} by {escape(report.made_by)}</p></header>",
         (
-            f"<p class='verdict {report.outcome}'><b>{report.outcome}</b>"
+            f"<p class='outcome {report.outcome}'><b>{report.outcome}</b>"
             f"<span>{_WORDS[report.outcome]}</span></p>"
         ),
         *(f"<p class='note'>{escape(note)}</p>" for note in report.notes),
@@ -189,6 +188,6 @@ def _table(head: Iterable[str], rows: Iterable[Iterable[str]], numbers: Iterable
     return f"<table>{f'<thead><tr>{columns}</tr></thead>' if columns else ''}<tbody>{body}</tbody></table>"
 
 
-def _cell(value: Any) -> str:
+def _cell(value: object) -> str:
     """Return the HTML of a value."""
     return escape(f"{value:.4g}" if isinstance(value, float) else str(value))

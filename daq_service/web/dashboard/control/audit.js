@@ -5,12 +5,12 @@ import { byId, el, setText } from "../dom.js";
 import { isAllowed } from "./session.js";
 
 const PAGE = 50;
-const PAUSE_KINDS = ["hold", "release"];
+const PAUSE_KINDS = ["pause", "resume"];
 const LOGIN_KINDS = ["enter", "log_in", "log_out", "create_token", "revoke_token"];
 const COMMAND_KINDS = [
   ...PAUSE_KINDS,
-  "retire",
-  "reinstate",
+  "disable",
+  "enable",
   "stop",
   "finish_now",
   "supply_on",
@@ -22,8 +22,8 @@ const COMMAND_KINDS = [
 /** @type {[string, string[]][]} */
 const KINDS = [
   ["Everything", []],
-  ["Holds", PAUSE_KINDS],
-  ["Orders", COMMAND_KINDS],
+  ["Pauses", PAUSE_KINDS],
+  ["Commands", COMMAND_KINDS],
   ["Logins and tokens", LOGIN_KINDS],
 ];
 /**

@@ -48,14 +48,14 @@ const QUESTIONS = {
     ],
     submitLabel: "Stop the test",
   }),
-  retire: (_, position) => ({
-    title: `Retire position ${position}`,
+  disable: (_, position) => ({
+    title: `Disable position ${position}`,
     paragraphs: [
-      `Position ${position} strikes no more, from its next shot on. No sets will come from it, and what ` +
+      `Position ${position} is not struck from its next shot on. No sets will come from it, and what ` +
         "falls due meanwhile cannot be made up for; the other positions go on.",
-      "It stays so over restarts. To take it back, press Reinstate beside its notice.",
+      "It stays so over restarts. To undo it, press Enable next to its notice.",
     ],
-    submitLabel: `Retire ${position}`,
+    submitLabel: `Disable ${position}`,
     fields: [NOTE],
   }),
   supply_on: ({ supply }) => ({
@@ -107,7 +107,7 @@ export class RunControl {
     this.root.hidden = !acceptsCommands;
     this.offer("stop", "Stop the test");
     for (const { position, method } of info.positions)
-      if (method === "solitary_wave") this.offer("retire", `Retire ${position}`, position, disabled.has(position));
+      if (method === "solitary_wave") this.offer("disable", `Disable ${position}`, position, disabled.has(position));
     if (info.supply !== null) {
       this.offer("supply_on", "Supply on, or its limits");
       this.offer("supply_off", "Supply off");

@@ -38,8 +38,8 @@ def files(folder):
 def test_sets_get_their_files_and_leave_the_journal(archive, tmp_path):
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
     for index in archive.sets():
-        making.put(index)
-    making.work()
+        making.after_set(index)
+    making.run_for(0.0)
     making.close()
     assert (len(files(tmp_path)), making.waits, making.trouble) == (2, False, "")
     archive.close()
@@ -58,23 +58,23 @@ def test_an_error_of_the_worker_is_reported_and_retried(archive, tmp_path, monke
 
     with monkeypatch.context() as patch:
         patch.setattr(module, "compact_set", refuse)
-        making.put(SET_INDEX)
-        making.work()
+        making.after_set(SET_INDEX)
+        making.run_for(0.0)
         assert (making.waits, making.trouble, files(tmp_path)) == (True, str(refusal), [])
     now_s[0] = AGAIN_AFTER_S - 1.0
-    making.work()
+    making.run_for(0.0)
     assert files(tmp_path) == []
     now_s[0] = AGAIN_AFTER_S
-    making.work()
-    making.work()
+    making.run_for(0.0)
+    making.run_for(0.0)
     assert (len(files(tmp_path)), making.waits, making.trouble) == (1, False, "")
 
 
 def test_a_worker_that_was_killed_is_replaced(archive, tmp_path):
     workers = [BrokenExecutor(), AtOnce()]
     making = SetFinalizer(tmp_path, archive, start=lambda: workers.pop(0))
-    making.put(SET_INDEX)
-    making.work()
+    making.after_set(SET_INDEX)
+    making.run_for(0.0)
     assert files(tmp_path) == []
     making.try_again()
     making.try_again()
@@ -85,8 +85,8 @@ def test_a_set_with_a_file_is_not_finalized_again(tmp_path):
     archive = FiledArchive(tmp_path)
     archive.store_set(make_set())
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
-    making.put(SET_INDEX)
-    making.work()
+    making.after_set(SET_INDEX)
+    making.run_for(0.0)
     assert (making.waits, making.trouble) == (False, "")
 
 
@@ -97,7 +97,7 @@ def test_a_set_with_corrupt_frames_stays_in_the_journal_and_is_reported(archive,
     segment.write_bytes(content)
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
     for index in archive.sets():
-        making.put(index)
+        making.after_set(index)
     making.try_again()
     assert (len(files(tmp_path)), making.waits) == (1, False)
     ((_, reason),) = making.damaged.items()

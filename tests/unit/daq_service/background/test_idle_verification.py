@@ -14,6 +14,7 @@ from support.memory_line import Line, memory_settings
 from support.small_experiment import AtOnce
 
 from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.task import BackgroundTask
 from daq_service.background.verification import EVERY_S, QUIET_S, IdleVerification
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueDamagedError
 from daq_service.clock import parse_utc, wall
@@ -66,8 +67,8 @@ class IdleBench:
     def steps(self, count, free_s=LONG_S):
         """Check a number of files, each at its time; return the corrupt ones."""
         for _ in range(count):
-            self.check.work(free_s)
-            self.check.work(free_s)
+            self.check.run_for(free_s)
+            self.check.run_for(free_s)
             self.now_s += EVERY_S
         return self.check.damaged
 
@@ -76,9 +77,9 @@ def test_files_are_verified_one_after_the_other_in_a_cycle(tmp_path, stored):
     idle = IdleBench(tmp_path)
     assert idle.steps(7) == {}
     assert [f"sets/{name}" for name in idle.worker.files] == [*stored, *stored, stored[0]]
-    idle.check.work(LONG_S)
-    idle.check.work(LONG_S)
-    idle.check.work(LONG_S)
+    idle.check.run_for(LONG_S)
+    idle.check.run_for(LONG_S)
+    idle.check.run_for(LONG_S)
     assert len(idle.worker.files) == 8, "none before its time"
 
 
@@ -109,7 +110,7 @@ def test_an_intact_file_without_a_stored_sha256_gets_one(tmp_path, stored):
     idle = IdleBench(tmp_path)
     damaged, *sound = (tmp_path / file for file in stored)
     damaged.write_bytes(damaged.read_bytes()[:-2000])
-    idle.check.work(LONG_S)
+    idle.check.run_for(LONG_S)
     idle.trouble = CatalogueBusyError("locked")
     idle.steps(2)
     idle.trouble = None
@@ -149,7 +150,7 @@ def test_a_killed_worker_is_no_corruption(tmp_path, stored):
     assert IdleBench(tmp_path, DyingExecutor()).steps(3) == {}
 
 
-class IdleCheckDouble:
+class IdleCheckDouble(BackgroundTask):
     """Idle check double with given corruption."""
 
     def __init__(self, damaged=()):
@@ -158,8 +159,8 @@ class IdleCheckDouble:
     def begin(self, known=None):
         self.known = dict(known or {})
 
-    def work(self, free_s):
-        self.free_s.append(free_s)
+    def run_for(self, seconds):
+        self.free_s.append(seconds)
 
 
 def alarms(line):

@@ -58,8 +58,8 @@ class Line:
         """Write the files of all sets; without free space they get no tiles."""
         self.room = room
         for index in self.files:
-            self.compaction.put(index)
-            self.compaction.work()
+            self.compaction.after_set(index)
+            self.compaction.run_for(0.0)
         self.room = True
         assert len(list((self.folder / "sets").iterdir())) == N_SETS
 
@@ -71,8 +71,8 @@ class Line:
 
     def work(self, free_s=0.0):
         """Run the task once and collect its result."""
-        self.tiling.work(free_s)
-        self.tiling.work(0.0)
+        self.tiling.run_for(free_s)
+        self.tiling.run_for(0.0)
 
 
 @pytest.fixture
@@ -107,7 +107,7 @@ def test_in_idle_time_older_sets_get_tiles_newest_first(line):
 
 
 def test_no_tile_is_made_while_set_files_are_pending(line):
-    line.compaction.put(SET_INDEX)
+    line.compaction.after_set(SET_INDEX)
     assert line.compaction.waits
     line.read.clear()
     line.work(free_s=QUIET_S + 1)

@@ -34,11 +34,11 @@ def set_row(position, **columns):
 
 def test_the_history_holds_experiment_events_command_states_and_files(catalogue, follower, tmp_path):
     add_events(catalogue, "one", "two")
-    order = catalogue.add_command("Ada", "hold", {})
+    order = catalogue.add_command("Ada", "pause", {})
     follower.follow()
     catalogue.start_command(order)
     follower.follow()
-    catalogue.finish_command(order, "done", "on hold")
+    catalogue.finish_command(order, "done", "paused")
     catalogue.commit_set(SetCommit(sets=[set_row("A", file="sets/a.h5"), set_row("B", state="missed")]))
     follower.follow()
     catalogue.set_digest(0, "sets/a.h5", "ab" * 32)

@@ -33,7 +33,7 @@ EVENT = EventRow(
 def folder(tmp_path):
     with new_catalogue(tmp_path) as catalogue:
         catalogue.commit_set(SetCommit(sets=[SET], features=[FEATURE], events=[EVENT]))
-        catalogue.finish_command(catalogue.add_command("Ada", "hold", {"note": "x"}), "done", "on hold")
+        catalogue.finish_command(catalogue.add_command("Ada", "pause", {"note": "x"}), "done", "paused")
     return tmp_path
 
 

@@ -19,7 +19,7 @@ from support.memory_line import SETS, Line, healthy, silent
 from daq_service.catalogue.rows import EventRow, SetRow
 from daq_service.cli.main import cli
 from daq_service.cli.maintenance.acceptance.conduct import growth_quantities
-from daq_service.cli.maintenance.acceptance.contents import as_json, certificate
+from daq_service.cli.maintenance.acceptance.contents import as_json, build_report
 from daq_service.cli.maintenance.acceptance.criteria import (
     DEFAULTS,
     Criterion,
@@ -38,7 +38,7 @@ from daq_service.settings.file import load_settings
 from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError
 
 TESTS = Path(__file__).parents[3]
-FOLDERS, HOW_TO = TESTS / "fixtures" / "folders", TESTS.parent / "docs" / "how-to" / "soak-and-certify.md"
+FOLDERS, HOW_TO = TESTS / "fixtures" / "folders", TESTS.parent / "docs" / "how-to" / "acceptance-test.md"
 LOST, LOST_AGAIN, SILENT, POOR = (5, 6), 10, 3, 8
 """Sets at which the boards are gone, and are again, B does not trigger, all shots of C are poor."""
 
@@ -65,7 +65,7 @@ def faulty(tmp_path_factory):
 
 
 def report_of(folder, *limits, **changes):
-    return certificate(replace(read_evidence(folder), **changes), with_limits(limits))
+    return build_report(replace(read_evidence(folder), **changes), with_limits(limits))
 
 
 def numbers(report):
@@ -82,7 +82,7 @@ def states(report):
 
 def certify(*arguments):
     """Run the command; return the exit code and standard output or the error."""
-    done = CliRunner().invoke(cli, ["certify", *map(str, arguments)])
+    done = CliRunner().invoke(cli, ["acceptance-report", *map(str, arguments)])
     if done.exception is not None and not isinstance(done.exception, SystemExit):
         return getattr(done.exception, "exit_code", 1), str(done.exception)
     return done.exit_code, done.stdout
@@ -168,7 +168,7 @@ def test_a_running_test_is_reported_up_to_now(real, monkeypatch):
     found = numbers(report)
     assert (found["sets_due"], found["sets_taken"], found["sets_missed"]) == (3, 3, 0)
     assert (found["unplanned_ends"], found["restarts"]) == (0, 0)
-    assert any("goes on" in note for note in report.notes)
+    assert any("still running" in note for note in report.notes)
 
 
 def test_sets_that_fall_due_while_the_recorder_is_dead_are_missing(real):
@@ -242,7 +242,7 @@ def test_delays_are_quantiles_of_start_less_due(real):
         )
         for index, delay in enumerate(delays_s)
     ]
-    found = numbers(certificate(replace(evidence, sets=its), DEFAULTS))
+    found = numbers(build_report(replace(evidence, sets=its), DEFAULTS))
     # The 100th and 198th of 200 values are the smallest that 50 % and 99 % do not exceed.
     names = ("start_delay_p50_s", "start_delay_p99_s", "start_delay_max_s")
     assert [found[name] for name in names] == pytest.approx([1.0, 1.98, 2.0], abs=1e-9)
@@ -434,9 +434,9 @@ def test_the_page_is_self_contained_and_complete(recorded, tmp_path):
     code, printed = certify("--data-dir", recorded, "--html", page, "--json", file, "--verify")
     report = json.loads(file.read_bytes())
     # Three sets are too few for the memory trend: incomplete, but not failed.
-    assert (code, report["verdict"], printed.splitlines()[-1]) == (6, "incomplete", "verdict: incomplete")
+    assert (code, report["outcome"], printed.splitlines()[-1]) == (6, "incomplete", "outcome: incomplete")
     html = page.read_text(encoding="utf-8")
-    assert "<title>Certificate of the test" in html
+    assert "<title>Acceptance report of the test" in html
     sources = re.findall(r"(?:src|href)='([^']*)'", html)
     drawn = [name for name, one in report["series"].items() if one["values"]]
     assert len(sources) == len(drawn) >= 6
@@ -453,9 +453,9 @@ def test_the_page_is_self_contained_and_complete(recorded, tmp_path):
 def test_the_shape_of_the_json(recorded):
     code, printed = certify("--data-dir", recorded, "--json")
     report = json.loads(printed)
-    assert (code, report["solimon_certificate"]) == (6, "1")
+    assert (code, report["solimon_acceptance_report"]) == (6, "1")
     assert list(report) == [
-        *("solimon_certificate", "made_utc", "made_by", "verdict", "criteria", "identity"),
+        *("solimon_acceptance_report", "made_utc", "made_by", "outcome", "criteria", "identity"),
         *("quantities", "tables", "series", "notes"),
     ]
     assert [item["quantity"] for item in report["criteria"]] == [item.quantity for item in DEFAULTS]
@@ -485,7 +485,7 @@ def test_a_test_that_keeps_every_limit_passes_with_exit_code_0(recorded):
             "open_handles_growth=off",
         )
     )
-    assert (code, printed.splitlines()[-1]) == (0, "verdict: pass")
+    assert (code, printed.splitlines()[-1]) == (0, "outcome: pass")
 
 
 def test_corruption_found_by_verify_fails_the_report(tmp_path):
@@ -496,7 +496,7 @@ def test_corruption_found_by_verify_fails_the_report(tmp_path):
     victim.write_bytes(content)
     code, printed = certify("--data-dir", folder, "--verify", "--json")
     report = json.loads(printed)
-    assert (code, report["verdict"]) == (6, "fail")
+    assert (code, report["outcome"]) == (6, "fail")
     assert report["quantities"]["damage_found"]["value"] >= 1
     assert any(victim.name in note for note in report["notes"])
 
@@ -532,13 +532,13 @@ def test_a_corrupt_catalogue_is_reported_with_its_path(tmp_path):
 
 
 def test_a_file_that_exists_or_lies_among_the_test_s_own_is_refused(recorded, tmp_path):
-    file = tmp_path / "certificate"
+    file = tmp_path / "acceptance"
     file.write_text("mine")
     assert certify("--data-dir", recorded, "--html", file)[0] == 2
     assert certify("--data-dir", recorded, "--json", recorded / "sets" / "c.json")[0] == 2
     assert file.read_text() == "mine"
     certify("--data-dir", recorded, "--json", file, "--overwrite")
-    assert json.loads(file.read_bytes())["solimon_certificate"] == "1"
+    assert json.loads(file.read_bytes())["solimon_acceptance_report"] == "1"
 
 
 def test_a_folder_that_is_not_there_is_refused(tmp_path):
@@ -548,4 +548,4 @@ def test_a_folder_that_is_not_there_is_refused(tmp_path):
 
 def test_the_json_agrees_with_the_report(faulty):
     report = report_of(faulty)
-    assert json.loads(json.dumps(as_json(report), allow_nan=False))["verdict"] == report.outcome
+    assert json.loads(json.dumps(as_json(report), allow_nan=False))["outcome"] == report.outcome

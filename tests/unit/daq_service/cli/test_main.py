@@ -5,16 +5,21 @@ import re
 import shutil
 import subprocess
 import sys
+from functools import partial
+from importlib import import_module
+from inspect import Parameter, signature
 from pathlib import Path
+from typing import Any
 
 import click
 import pytest
 from click.testing import CliRunner
-from support.command_line import solimon_here
+from support.command_line import command_of, solimon_here
 
 from daq_service.archive import ArchiveWriteError
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
 from daq_service.cli import run
+from daq_service.cli.groups.registry import SECTIONS, summary
 from daq_service.cli.main import cli
 from daq_service.cli.status import command
 from daq_service.processes.supervisor import FINAL_CODES
@@ -67,11 +72,11 @@ def test_a_write_error_ends_a_manual_start_and_retries_a_supervised_one(
     [
         "status",
         "serve",
-        "hold --reason why",
-        "release",
+        "pause --reason why",
+        "resume",
         "trust-clock",
-        "retire --position B",
-        "reinstate --position B",
+        "disable --position B",
+        "enable --position B",
         "supply --off",
     ],
 )
@@ -86,9 +91,9 @@ def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, command_line:
 @pytest.mark.parametrize(
     ("command_line", "asked"),
     [
-        ("hold", "Why is the test held"),
-        ("hold --reason door", ""),
-        ("release", ""),
+        ("pause", "Why is the test paused"),
+        ("pause --reason door", ""),
+        ("resume", ""),
         ("renew-baseline --position B", "Why is the baseline retired"),
     ],
 )
@@ -113,11 +118,11 @@ def test_at_a_terminal_a_command_asks_for_its_reason(
 def test_a_renewal_without_a_reason_is_rejected_with_the_missing_option(tmp_path: Path) -> None:
     done = solimon_here("renew-baseline", "--position", "B", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 2
-    assert "--reason 'the sensor was coupled anew'" in done.stderr
+    assert "--reason 'sensor coupled again'" in done.stderr
 
 
 def test_a_command_is_rejected_before_the_first_record(tmp_path: Path) -> None:
-    done = solimon_here("hold", "--reason", "why", "--data-dir", str(tmp_path), env={})
+    done = solimon_here("pause", "--reason", "why", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 4
     assert "no data yet" in done.stderr
 
@@ -131,21 +136,89 @@ def test_a_restarted_web_service_waits_for_its_folder(tmp_path: Path) -> None:
     assert "bring back the test's own folder" in done.stderr
 
 
-def test_no_summary_is_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_help_lists_the_registry_by_section(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("COLUMNS", "80")
     help_text = CliRunner().invoke(cli, ["--help"]).stdout
-    assert "..." not in help_text.partition("Commands:")[2]
-    for name, word in cli.commands.items():
-        summary = " ".join((word.help or "").partition("\n\n")[0].split())
-        assert summary.partition(". ")[0].rstrip(".") in " ".join(help_text.split()), name
     assert max(len(line) for line in help_text.splitlines()) <= 80
+    listed = re.split(r"^([A-Z]+):$", help_text, flags=re.MULTILINE)[1:]
+    sections = {
+        name.lower(): [" ".join(text.split()) for text in re.split(r"\n  (?=[a-z])", entries)[1:]]
+        for name, entries in zip(listed[::2], listed[1::2], strict=True)
+    }
+    assert sections == {
+        section: [f"{name} {text}" for name, text in commands.items()]
+        for section, commands in SECTIONS.items()
+    }
 
 
-def test_every_option_is_described() -> None:
-    for name, word in cli.commands.items():
-        for option in word.params:
-            if isinstance(option, click.Option) and not option.hidden:
-                assert option.help, f"{name} {option.opts}"
+NAMES = [name for commands in SECTIONS.values() for name in commands]
+
+
+def leaves(command: click.Command) -> list[click.Command]:
+    if isinstance(command, click.Group):
+        return [leaf for inner in command.commands.values() for leaf in leaves(inner)]
+    return [command]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_command_has_its_summary_and_describes_its_options(name: str) -> None:
+    command = command_of(name)
+    assert (command.name, str(command.help).partition("\n")[0]) == (name, summary(name))
+    assert len(summary(name)) <= 72
+    for leaf in leaves(command):
+        undescribed = [
+            option.opts
+            for option in leaf.params
+            if isinstance(option, click.Option) and not (option.hidden or option.help)
+        ]
+        assert undescribed == []
+
+
+def test_the_options_of_a_command_are_the_parameters_of_its_function() -> None:
+    """A target is a text until the command runs."""
+    checked = set()
+    for leaf in [leaf for name in NAMES for leaf in leaves(command_of(name))]:
+        callback: Any = leaf.callback
+        if isinstance(callback, partial) and ":" in callback.args[0]:
+            module, _, function = callback.args[0].partition(":")
+            parameters = signature(getattr(import_module(f"daq_service.cli.{module}"), function)).parameters
+            given = {str(parameter.name) for parameter in leaf.params}
+            rest = {key for key, value in parameters.items() if value.kind is Parameter.VAR_KEYWORD}
+            assert given == set(parameters) or (rest and set(parameters) - rest <= given), leaf.name
+            checked.add(leaf.name)
+    assert {"run", "record", "status", "verify", "simulate", "create"} <= checked
+
+
+IMPORTED = """
+import sys
+sys.argv = ["solimon", *sys.argv[1:]]
+try:
+    from daq_service.cli.main import main
+    main()
+except SystemExit:
+    pass
+print(*sorted(name for name in sys.modules if name.startswith("daq_service.cli.")), file=sys.stderr)
+"""
+
+
+@pytest.mark.parametrize(
+    ("arguments", "own"),
+    [
+        (["--help"], set()),
+        (["repair", "--help"], {"groups.data"}),
+        (["status", "--data-dir", "nowhere"], {"groups.monitor", "status", "status.command", "terminal"}),
+    ],
+    ids=" ".join,
+)
+def test_a_command_imports_no_module_of_another(arguments: list[str], own: set[str], tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORTED, *arguments], capture_output=True, text=True, check=True, cwd=tmp_path
+    )
+    imported = {name.removeprefix("daq_service.cli.") for name in done.stderr.splitlines()[-1].split()}
+    shared = {"main", "groups", "groups.registry"} | ({"groups.options"} if own else set())
+    assert own | shared <= imported
+    others = imported - own - shared
+    assert {name.partition(".")[0] for name in others} <= {name.partition(".")[0] for name in own}
 
 
 FIRST_WORDS = """

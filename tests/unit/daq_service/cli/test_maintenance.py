@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import sqlite3
 import subprocess
@@ -26,6 +27,7 @@ from daq_service.archive.journal.reader import segment_path
 from daq_service.assessment.results_in_file import results_in
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.history import HistoryFollower
+from daq_service.catalogue.rows import SetRow
 from daq_service.catalogue.tables import KINDS as KINDS_OF_ROWS
 from daq_service.cli.maintenance import backup, command
 from daq_service.cli.maintenance.backup import back_up
@@ -33,11 +35,12 @@ from daq_service.cli.maintenance.verify import KINDS, verify_folder
 from daq_service.cli.status.facts import describe_status
 from daq_service.commands.audit import Audit
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError
-from daq_service.processes.data_folder import own_data_folder, settings_of_folder
+from daq_service.processes.data_folder import CACHES, LOCKS, SOURCES, own_data_folder, settings_of_folder
 from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
 from daq_service.processes.notifications.delivery_log import Delivery, DeliveryLog
 from daq_service.recording.rebuild import rebuild
 
+PAGE = Path(__file__).parents[4] / "docs" / "reference" / "data-folder.md"
 FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"
 FILES = {
     index: f"sets/set_{index:06d}_20240101T{hour}00Z.h5"
@@ -198,7 +201,7 @@ def test_a_set_of_another_test_or_under_another_name_is_named(folder):
 
 def audit_three(folder):
     for author in ("ann", "ben", "cleo"):
-        Audit(folder).add(who=author, role="admin", source="terminal", what="hold", result="accepted")
+        Audit(folder).add(who=author, role="admin", source="terminal", what="pause", result="accepted")
 
 
 def notify_three(folder):
@@ -284,7 +287,29 @@ def test_foreign_files_are_listed_and_no_corruption(folder):
         "left over in sets",
         "not solimon's, in sets",
         "set aside in quarantine",
+        "caches, not checked and safe to delete",
     ]
+
+
+def test_caches_are_listed_and_a_test_goes_on_without_them(folder):
+    """The page `data-folder.md` states the role of each file."""
+    roles = dict(
+        re.findall(r"(?m)^\| `([\w.]+)[/`][^|]*\|[^|]*\| (source|cache|lock)", PAGE.read_text("utf-8"))
+    )
+    for role, names in {"source": SOURCES, "cache": CACHES, "lock": LOCKS}.items():
+        assert {name for name in roles if roles[name] == role} == names
+    caches = [folder / name for name in CACHES if (folder / name).exists()]
+    (note,) = verify_folder(folder).notes
+    assert caches
+    assert all(path.name in note for path in caches)
+    for path in caches:
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    assert (verify_folder(folder).damage, verify_folder(folder).notes) == ([], [])
+    schedule = {**SMALL["schedule"], "end_h": (SETS + 1) * 0.5}
+    assert run(small_settings(schedule=schedule), folder)
+    with open_catalogue(folder) as catalogue:
+        assert [row.state for row in catalogue.rows(SetRow, position="B")] == ["done"] * (SETS + 1)
+    assert (folder / "tiles").exists()
 
 
 def test_a_lost_or_foreign_catalogue_is_named_and_the_files_are_checked_all_the_same(folder):

@@ -16,7 +16,7 @@ from xml.etree import ElementTree
 
 import pytest
 from click.testing import CliRunner
-from support.command_line import solimon_here
+from support.command_line import command_of, solimon_here
 from support.notify_socket import notify_socket
 from support.waiting import ended, until
 
@@ -118,10 +118,10 @@ def test_the_supply_s_process_is_a_service_of_its_own(config: Path) -> None:
     assert (
         written_units["record"]["Unit"]["Wants"]
         == written_units["record"]["Unit"]["After"]
-        == "solimon-drive.service"
+        == "solimon-supply-process.service"
     )
     assert written_units["record"]["Service"]["KillMode"] == "mixed", "the recorder ends its own workers"
-    assert written_units["drive"]["Service"]["Type"] == "notify"
+    assert written_units["supply-process"]["Service"]["Type"] == "notify"
     config.write_text("", encoding="utf-8")
     assert list(units(config)) == ["record", "serve"]
 
@@ -154,16 +154,18 @@ def test_the_command_lines_are_valid_commands(manager: str, config: Path) -> Non
     for program, safe, dash_m, module, word, *arguments in commands:
         assert (program, dash_m, module) == (sys.executable, "-m", "daq_service.cli")
         assert safe == "-P", "no file beside the configuration is taken for a module"
-        options = cli.commands[word].make_context(word, arguments).params
+        options = command_of(word).make_context(word, arguments).params
         (named,) = options["paths"] if word == "serve" else [options["config"]]
         assert (named, options["data_dir"]) == (config, config.parent / "solimon-data")
         recorded_commands.append(word)
-    assert recorded_commands == (["record", "serve", "drive"] if manager == "systemd" else ["run", "drive"])
+    assert recorded_commands == (
+        ["record", "serve", "supply-process"] if manager == "systemd" else ["run", "supply-process"]
+    )
 
 
 def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_takes(config: Path) -> None:
     answer = write_service(config, "windows", "--user", "LAB\\ada", "--name", "wall")
-    assert [Path(file).name for file in answer["files"]] == ["wall.xml", "wall-drive.xml"]
+    assert [Path(file).name for file in answer["files"]] == ["wall.xml", "wall-supply-process.xml"]
     assert answer["install"][0] == f'schtasks /create /f /tn "wall" /xml "{answer["files"][0]}"'
     task = ElementTree.fromstring(Path(answer["files"][0]).read_bytes())
     found = {element.tag.removeprefix(TASKS): element.text for element in task.iter()}

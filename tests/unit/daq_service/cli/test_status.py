@@ -130,9 +130,7 @@ def test_data_that_are_older_than_the_cadence_explains_are_stale(filled: FilledF
     filled.say("hold", filled.due[SETS + 2].due_utc_ns, held="held by ann: door open")
     lines = status_of(filled)
     assert "  90 min STALE  " in line_of(lines, " B")
-    assert (
-        line_of(lines, "on hold") == "on hold  held by ann: door open; nothing strikes until it is released"
-    )
+    assert line_of(lines, "paused") == "paused  held by ann: door open; nothing strikes until it is resumed"
     assert line_of(lines, "now").startswith(
         f"now  hour {filled.due[SETS + 2].due_h:.2f} of the test, last written"
     )
@@ -173,13 +171,13 @@ def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolde
 
 
 def test_status_lists_open_commands_and_the_due_set(filled: FilledFolder) -> None:
-    order = filled.catalogue.add_command("ann", "retire", {"position": "C", "note": ""}, within_s=3600.0)
-    expired = filled.catalogue.add_command("bob", "hold", {"note": ""}, within_s=0.0)
+    order = filled.catalogue.add_command("ann", "disable", {"position": "C", "note": ""}, within_s=3600.0)
+    expired = filled.catalogue.add_command("bob", "pause", {"note": ""}, within_s=0.0)
     facts = describe_status(filled.folder, filled.settings)
     assert [row["id"] for row in facts["orders"]] == [order], f"order {expired} has expired"
     awaited = [line for line in status_lines(facts) if line.startswith("awaited")]
     assert re.fullmatch(
-        r"awaited +the recorder's answer to retire by ann \(pending, expires in 60 min\)", awaited[0]
+        r"awaited +the recorder's answer to disable by ann \(pending, expires in 60 min\)", awaited[0]
     )
     # By the count of sets, of which four have rows here.
     assert re.fullmatch(r"awaited +set 4, due at hour 2\.5, 22\.5 h ago", awaited[1])

@@ -246,8 +246,8 @@ def test_the_rows_of_a_command_are_stored_with_its_result(
     """A process that is killed after the command has stored its result."""
     orders = [
         bench.write("annotate", from_h=1.0, text="couplant renewed"),
-        bench.write("hold", note="door open"),
-        bench.write("retire", position="C"),
+        bench.write("pause", note="door open"),
+        bench.write("disable", position="C"),
     ]
 
     def killed(*answer: object) -> None:
@@ -285,8 +285,8 @@ def test_a_command_marked_after_its_deadline_expires(bench: Bench, monkeypatch: 
 def test_an_open_command_of_an_earlier_recorder_is_closed_and_never_executed(
     bench: Bench, begin: bool
 ) -> None:
-    started, waiting = bench.write("supply_on"), bench.write("release")
-    rows_only = bench.write("hold", note="why")
+    started, waiting = bench.write("supply_on"), bench.write("resume")
+    rows_only = bench.write("pause", note="why")
     for order_id in (started, rows_only):
         bench.catalogue.start_command(order_id)  # ... and killed
     bench.restart(begin=begin)
@@ -336,7 +336,7 @@ def test_without_a_mark_only_repeatable_commands_are_executed(
 
 
 def test_a_command_that_is_open_at_the_end_expires(bench: Bench) -> None:
-    order_id = bench.write("hold", note="why")
+    order_id = bench.write("pause", note="why")
     bench.listener.close("the recorder has ended")
     state, message = bench.answer(order_id)
     assert (state, "the recorder has ended" in message) == ("expired", True)
@@ -345,7 +345,7 @@ def test_a_command_that_is_open_at_the_end_expires(bench: Bench) -> None:
 
 
 def test_the_recorder_ends_an_expired_shelf_without_a_new_set(bench: Bench) -> None:
-    bench.execute("retire", position="C", note="coil is hot")
+    bench.execute("disable", position="C", note="coil is hot")
     (alarm_id,) = (row.id for row in bench.catalogue.rows(AlarmRow))
     assert alarm_id is not None
     done = bench.execute("shelve_alarm", alarm_id=alarm_id, for_h=8.0, reason="a new coil is on its way")
@@ -362,24 +362,24 @@ def test_the_recorder_ends_an_expired_shelf_without_a_new_set(bench: Bench) -> N
 
 
 def test_a_pause_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
-    done = "on hold: nothing strikes until the test is released; sets that fall due are missed"
-    assert bench.execute("hold", note="door open") == ("done", done)
+    done = "paused: nothing strikes until the test is resumed; due sets are missed"
+    assert bench.execute("pause", note="door open") == ("done", done)
     assert bench.listener.held == "held by ann: door open"
-    already = "the test is already on hold: held by ann: door open"
-    assert bench.execute("hold", note="why") == ("refused", already)
+    already = "the test is already paused: held by ann: door open"
+    assert bench.execute("pause", note="why") == ("refused", already)
     bench.restart()
     assert bench.listener.held == "held by ann: door open"
-    assert bench.execute("release", note="shut") == ("done", "released: the next due set is taken")
+    assert bench.execute("resume", note="shut") == ("done", "resumed: the next due set is taken")
     assert bench.listener.held == ""
     bench.restart()
     assert bench.listener.held == ""
-    assert bench.execute("release") == ("refused", "the test is not on hold")
+    assert bench.execute("resume") == ("refused", "the test is not paused")
 
 
 def test_pending_commands_are_executed_in_order(bench: Bench) -> None:
     orders = [
-        *(bench.write("hold", note="why") for _ in range(2)),
-        *(bench.write("release") for _ in range(2)),
+        *(bench.write("pause", note="why") for _ in range(2)),
+        *(bench.write("resume") for _ in range(2)),
     ]
     bench.listener.listen()
     assert [bench.answer(order)[0] for order in orders] == ["done", "refused", "done", "refused"]
@@ -387,33 +387,33 @@ def test_pending_commands_are_executed_in_order(bench: Bench) -> None:
 
 
 def test_a_transducer_is_disabled_and_enabled(bench: Bench) -> None:
-    assert bench.execute("retire", position="B", note="coil is hot") == ("done", "B strikes no more")
+    assert bench.execute("disable", position="B", note="coil is hot") == ("done", "B is disabled")
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
-    assert bench.execute("confirm", position="B") == ("refused", "B is retired")
-    assert bench.execute("retire", position="B") == ("refused", "B is retired already")
+    assert bench.execute("strike", position="B") == ("refused", "B is disabled")
+    assert bench.execute("disable", position="B") == ("refused", "B is disabled already")
     bench.restart()
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
-    assert bench.execute("reinstate", position="B") == ("done", "B strikes again from the next set")
+    assert bench.execute("enable", position="B") == ("done", "B strikes again from the next set")
     assert bench.ledger.retired() == {}
-    assert bench.execute("reinstate", position="B") == ("refused", "B is not retired")
+    assert bench.execute("enable", position="B") == ("refused", "B is not disabled")
 
 
 def test_a_disabled_transducer_names_the_author_of_the_command(bench: Bench) -> None:
-    bench.execute("retire", position="C")
+    bench.execute("disable", position="C")
     assert bench.ledger.retired() == {"C": "retired by ann: no reason given"}
     (event,) = bench.catalogue.events_after(0, {"alarms"})
     assert (event.kind, event.payload["proof"]) == ("alarm_raised", {"command_id": 1})
     assert event.payload["raised_h"] == HOUR
 
 
-@pytest.mark.parametrize("kind", ["retire", "reinstate"])
+@pytest.mark.parametrize("kind", ["disable", "enable"])
 def test_only_a_solitary_wave_transducer_is_disabled(bench: Bench, kind: str) -> None:
     message = "there is no solitary-wave transducer 'A'; there are: B, C, D"
     assert bench.execute(kind, position="A") == ("refused", message)
 
 
 def test_an_alarm_is_acknowledged_once(bench: Bench) -> None:
-    bench.execute("retire", position="D")
+    bench.execute("disable", position="D")
     alarm_id, state = bench.alarm("D")
     assert state == "unacknowledged"
     assert bench.execute("acknowledge_alarm", alarm_id=alarm_id, note="seen") == ("done", "acknowledged")
@@ -440,16 +440,16 @@ def test_an_unknown_command_is_rejected_and_the_next_one_executed(bench: Bench) 
     state, message = bench.execute("self_destruct")
     assert state == "refused"
     assert message.startswith("unknown order 'self_destruct'; there are finish_now, stop, ")
-    state, message = bench.execute("retire", positon="B")
+    state, message = bench.execute("disable", positon="B")
     assert state == "refused"
     assert "arguments.position" in message
     assert "arguments.positon" in message
-    assert bench.execute("hold", note="why")[0] == "done"
+    assert bench.execute("pause", note="why")[0] == "done"
 
 
 def test_the_listener_polls_at_most_once_per_interval(bench: Bench) -> None:
     bench.listener.listen()
-    order_id = bench.write("hold", note="why")
+    order_id = bench.write("pause", note="why")
     bench.now_ns += 200 * NS_PER_MS - 1
     bench.listener.listen()
     assert bench.answer(order_id)[0] == "pending"

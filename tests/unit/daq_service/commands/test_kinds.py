@@ -42,10 +42,10 @@ def order(kind: str, **arguments: object) -> Order:
 
 ARGUMENTS: dict[str, dict[str, object]] = {
     "acknowledge_alarm": {"alarm_id": 7},
-    "hold": {"note": "hands in the rig"},
-    "retire": {"position": "B"},
-    "reinstate": {"position": "C"},
-    "confirm": {"position": "B"},
+    "pause": {"note": "hands in the rig"},
+    "disable": {"position": "B"},
+    "enable": {"position": "C"},
+    "strike": {"position": "B"},
     "approve_baseline": {"position": "B"},
     "renew_baseline": {"position": "B", "note": "coupled anew"},
     "shelve_alarm": {"alarm_id": 7, "for_h": 8.0, "reason": "known"},
@@ -70,7 +70,7 @@ OPEN = {
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_a_permitted_command_is_executed(kind: str) -> None:
-    held = "held by ben" if kind == "release" else ""
+    held = "held by ben" if kind == "resume" else ""
     assert order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**{**OPEN, "held": held})) is None
 
 
@@ -106,18 +106,18 @@ def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: st
             "finish_now belongs to a simulated clock with clock.pace_h_per_s, as in `solimon demo`.",
         ),
         (
-            "hold",
+            "pause",
             {"held": "held by ben"},
-            "the test is already on hold: held by ben",
-            "The test is already on hold: held by ben.",
-            "Release it first; a hold has one reason.",
+            "the test is already paused: held by ben",
+            "The test is already paused: held by ben.",
+            "Resume it first; a pause has one reason.",
         ),
         (
-            "release",
+            "resume",
             {},
-            "the test is not on hold",
-            "The test is not on hold.",
-            "Only a test on hold can be released.",
+            "the test is not paused",
+            "The test is not paused.",
+            "Only a paused test can be resumed.",
         ),
         (
             "trust_clock",
@@ -127,38 +127,38 @@ def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: st
             "The alarm clock_doubted stands while it is doubted.",
         ),
         (
-            "retire",
+            "disable",
             {"alarms": [alarm("acknowledged")]},
-            "B is retired already",
-            "B is retired already: why.",
-            "Reinstate it when it is put right.",
+            "B is disabled already",
+            "B is disabled already: why.",
+            "Enable it when it is repaired.",
         ),
         (
-            "retire",
+            "disable",
             {"positions": ()},
             "there is no solitary-wave transducer 'B'; there are: none",
             "There is no solitary-wave transducer 'B'.",
             "There are: none.",
         ),
         (
-            "confirm",
+            "strike",
             {"alarms": [alarm("unacknowledged")]},
-            "B is retired",
-            "B is retired: why.",
-            "Reinstate it when it is put right.",
+            "B is disabled",
+            "B is disabled: why.",
+            "Enable it when it is repaired.",
         ),
         (
-            "confirm",
+            "strike",
             {"held": "held by ben"},
-            "the test is on hold: held by ben",
-            "The test is on hold: held by ben.",
-            "Release it when nobody's hands are in the rig any more.",
+            "the test is paused: held by ben",
+            "The test is paused: held by ben.",
+            "Resume it when all hands are out of the rig.",
         ),
         (
-            "reinstate",
+            "enable",
             {"alarms": [alarm("normal", position="C")]},
-            "C is not retired",
-            "C is not retired.",
+            "C is not disabled",
+            "C is not disabled.",
             "/api/v1/transducers tells which are, and why.",
         ),
         (
@@ -210,11 +210,11 @@ def test_a_command_without_an_author_does_not_switch_the_supply_on() -> None:
 @pytest.mark.parametrize(
     ("kind", "arguments", "message"),
     [
-        ("jump", {}, "unknown order 'jump'; there are finish_now, stop, acknowledge_alarm, hold, release"),
-        ("retire", {}, "arguments.position: Field required"),
-        ("hold", {}, "arguments.note: Field required"),
-        ("hold", {"note": " \t"}, "arguments.note: Value error, say why the test is paused"),
-        ("hold", {"note": "why", "position": "B"}, "arguments.position: Extra inputs are not permitted"),
+        ("jump", {}, "unknown order 'jump'; there are finish_now, stop, acknowledge_alarm, pause, resume"),
+        ("disable", {}, "arguments.position: Field required"),
+        ("pause", {}, "arguments.note: Field required"),
+        ("pause", {"note": " \t"}, "arguments.note: Value error, say why the test is paused"),
+        ("pause", {"note": "why", "position": "B"}, "arguments.position: Extra inputs are not permitted"),
         ("supply_on", {"voltage_v": 61.0}, "arguments.voltage_v: Input should be less than or equal to 60"),
         ("supply_on", {"voltage_v": True}, "arguments.voltage_v: Input should be a valid number"),
         ("annotate", {"from_h": "1", "text": "x"}, "arguments.from_h: Input should be a valid number"),

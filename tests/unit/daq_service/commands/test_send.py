@@ -54,24 +54,24 @@ def recorder(tmp_path: Path) -> Iterator[RecorderDouble]:
 def test_a_command_is_stored_and_its_result_printed(
     recorder: RecorderDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recorder.answer = ("done", "on hold: nothing strikes")
-    assert recorder.send("hold", note="door open") == 0
-    assert recorder.seen == [("hold", "ann", {"note": "door open"})]
-    assert capsys.readouterr().out == "on hold: nothing strikes\n"
+    recorder.answer = ("done", "paused: nothing strikes")
+    assert recorder.send("pause", note="door open") == 0
+    assert recorder.seen == [("pause", "ann", {"note": "door open"})]
+    assert capsys.readouterr().out == "paused: nothing strikes\n"
 
 
 def test_a_command_has_its_position_and_json_is_one_object(
     recorder: RecorderDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    recorder.answer = ("done", "B strikes no more")
-    recorder.send("retire", position="B", note="coil is hot", as_json=True)
+    recorder.answer = ("done", "B is disabled")
+    recorder.send("disable", position="B", note="coil is hot", as_json=True)
     assert json.loads(capsys.readouterr().out) == {
         "id": 1,
-        "kind": "retire",
+        "kind": "disable",
         "author": "ann",
         "arguments": {"note": "coil is hot", "position": "B"},
         "state": "done",
-        "result": "B strikes no more",
+        "result": "B is disabled",
     }
 
 
@@ -84,9 +84,9 @@ def test_arguments_that_are_not_given_are_left_out(recorder: RecorderDouble) -> 
 def test_a_rejected_command_is_an_error_with_the_recorders_reason(
     recorder: RecorderDouble, capsys: pytest.CaptureFixture[str], as_json: bool
 ) -> None:
-    recorder.answer = ("refused", "B is not retired")
-    with pytest.raises(UsageError, match="refused to reinstate: B is not retired") as refusal:
-        recorder.send("reinstate", position="B", as_json=as_json)
+    recorder.answer = ("refused", "B is not disabled")
+    with pytest.raises(UsageError, match="refused to enable: B is not disabled") as refusal:
+        recorder.send("enable", position="B", as_json=as_json)
     assert refusal.value.exit_code == 2
     printed = capsys.readouterr().out
     assert (json.loads(printed)["state"] if as_json else printed) == ("refused" if as_json else "")
@@ -102,9 +102,9 @@ def test_a_command_that_is_not_started_in_time_expires(
     recorder: RecorderDouble, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(
-        BusyError, match=r"order 1 \(release\) expired: not carried out, and nobody"
+        BusyError, match=r"order 1 \(resume\) expired: not carried out, and nobody"
     ) as silence:
-        recorder.send("release", within_s=0.0, as_json=True)
+        recorder.send("resume", within_s=0.0, as_json=True)
     assert silence.value.exit_code == 5
     assert json.loads(capsys.readouterr().out)["state"] == "expired"
     assert recorder.seen == []
@@ -112,10 +112,10 @@ def test_a_command_that_is_not_started_in_time_expires(
 
 def test_a_started_command_without_a_result_is_reported_as_unknown(recorder: RecorderDouble) -> None:
     with pytest.raises(
-        BusyError, match=r"began order 1 \(hold\) .* look before you give it again"
+        BusyError, match=r"began order 1 \(pause\) .* look before you give it again"
     ) as silence:
         recorder.send(
-            "hold",
+            "pause",
             note="why",
             carried_out_within_s=0.0,
             wait=lambda seconds: recorder.catalogue.start_command(1),
@@ -125,8 +125,8 @@ def test_a_started_command_without_a_result_is_reported_as_unknown(recorder: Rec
 
 def test_a_command_whose_recorder_ended_is_reported_as_failed(recorder: RecorderDouble) -> None:
     recorder.answer = ("failed", "the recorder ended while carrying it out")
-    with pytest.raises(BusyError, match=r"order 1 \(hold\) failed: the recorder ended"):
-        recorder.send("hold", note="why")
+    with pytest.raises(BusyError, match=r"order 1 \(pause\) failed: the recorder ended"):
+        recorder.send("pause", note="why")
 
 
 def killed(recorder: RecorderDouble) -> None:
@@ -172,7 +172,7 @@ def test_without_a_recorder_no_command_is_stored(
 ) -> None:
     end(recorder)
     with pytest.raises(BusyError, match=r"no recorder runs on "):
-        recorder.send("hold", note="why")
+        recorder.send("pause", note="why")
     assert recorder.catalogue.open_commands() == []
 
 
@@ -181,7 +181,7 @@ def test_a_recorder_that_opens_its_rig_gets_no_command(recorder: RecorderDouble,
     add_events(recorder.catalogue, kind)
     beat(recorder.folder, "opening")
     with pytest.raises(BusyError, match=r"the recorder of .* is waiting: nothing strikes, .*its rig is open"):
-        recorder.send("hold", note="why")
+        recorder.send("pause", note="why")
     assert recorder.catalogue.open_commands() == []
 
 
@@ -193,18 +193,18 @@ def test_a_finished_or_restarted_recorder_accepts_commands(
 ) -> None:
     add_events(recorder.catalogue, *kinds)
     beat(recorder.folder, stage)
-    assert recorder.send("hold", note="why") == 0
+    assert recorder.send("pause", note="why") == 0
     assert len(recorder.seen) == 1
 
 
 def test_a_folder_without_data_rejects_commands(tmp_path: Path) -> None:
     with pytest.raises(NoDataYetError, match="no data yet"):
-        send_command("hold", config=None, data_dir=tmp_path, note="why", author=None, as_json=False)
+        send_command("pause", config=None, data_dir=tmp_path, note="why", author=None, as_json=False)
 
 
 def test_the_author_is_this_user_unless_named(
     recorder: RecorderDouble, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("getpass.getuser", lambda: "u" * 100)
-    recorder.send("hold", note="why", author=None)
+    recorder.send("pause", note="why", author=None)
     assert recorder.seen[0][1] == "u" * 80

@@ -9,9 +9,10 @@ from support.filled_folder import FilledFolder
 from daq_service.archive import SetReference
 from daq_service.archive.waterfall.tile_files import write_tiles_of_file
 from daq_service.archive.waterfall.tiles import kept_cells, n_bytes, planned_bytes
+from daq_service.background.disk_watch import DiskWatch
 from daq_service.cli.run import report_full_disk
 from daq_service.processes import disk_policy
-from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch, disk_space, outlook
+from daq_service.processes.disk_policy import RESERVE_FILE, disk_space, outlook
 from daq_service.settings.tree import Settings, StorageSettings
 
 GB = 10**9

@@ -160,7 +160,7 @@ def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_s
 def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
     line.settings = settings(confirmation_sets_a_day=1)
 
-    send_at(line, ("D", FIRST + 1, 0), "confirm", position="B", note="what is it?")
+    send_at(line, ("D", FIRST + 1, 0), "strike", position="B", note="what is it?")
     line.run()
     assert [row.set_index for row in confirmation_rows(line)] == [AFTER_FIRST, PLANNED_SETS + FIRST + 1]
     requests = [row.payload for row in line.rows("events") if row.kind == "confirmation_asked"]
@@ -177,7 +177,7 @@ def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
 )
 def test_an_impossible_strike_command_is_rejected_with_its_reason(line, at, order, refused):
     line.script = healthy
-    send_at(line, ("C", at, 0), "confirm", **order)
+    send_at(line, ("C", at, 0), "strike", **order)
     line.run()
     with line.catalogue() as catalogue:
         (command,) = catalogue.rows(CommandRow)
@@ -187,7 +187,7 @@ def test_an_impossible_strike_command_is_rejected_with_its_reason(line, at, orde
 
 
 def test_a_pause_ends_a_confirmation_set(line):
-    send_at(line, ("B", AFTER_FIRST, 1), "hold", note="hands in the rig")
+    send_at(line, ("B", AFTER_FIRST, 1), "pause", note="hands in the rig")
     line.run()
     (row,) = confirmation_rows(line)
     assert (row.state, row.n_taken, row.cause) == ("partial", 2, "held by Ada: hands in the rig")

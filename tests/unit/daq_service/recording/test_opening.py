@@ -142,7 +142,7 @@ def test_a_stop_while_waiting_for_the_rig_is_an_orderly_end(opener: Opener) -> N
         HistoryFollower(opener.folder, opener.catalogue),
         opener.heartbeat,
         MOMENT,
-        None,
+        threading.Event(),
     )
     event = opener.catalogue.last_service_event("recorder_started", "recorder_stopped")
     assert event is not None

@@ -8,12 +8,14 @@ from support.memory_archive import MemoryArchive
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
 
 from daq_service.archive import ArchiveWriteError
+from daq_service.background.disk_watch import DiskWatch
+from daq_service.background.task import BackgroundTask
 from daq_service.background.write_retry_queue import WriteRetryQueue
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueBusyError
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.errors import RigError
-from daq_service.processes.disk_policy import RESERVE_FILE, DiskWatch
+from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.settings.tree import StorageSettings
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ShotKey
@@ -152,15 +154,15 @@ def test_in_real_time_sets_are_struck_on_and_stored_later(line, undisturbed):
 def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
     line.settings = memory_settings(clock={"kind": "wall"})
     monkeypatch.setattr(WriteRetryQueue, "has_room", property(lambda backlog: len(backlog) < 2))
-    disk, work = FullDisk(line, 3, 10**9), WriteRetryQueue.work
+    disk, work = FullDisk(line, 3, 10**9), WriteRetryQueue.run_for
 
-    def freed(backlog):
+    def freed(backlog, seconds):
         """Work, and free the disk when two sets and three gaps wait."""
         if len(backlog) >= 5:
             disk.left = 0
-        work(backlog)
+        work(backlog, seconds)
 
-    monkeypatch.setattr(WriteRetryQueue, "work", freed)
+    monkeypatch.setattr(WriteRetryQueue, "run_for", freed)
     assert line.run(archive=disk, mono_s=Seconds(100.0))  # each poll is late enough for another try
     assert states(line, "B") == ["done"] * 5 + ["missed"] * 3 + ["done"] * (SETS - 8)
     assert causes(line, "B")[5] == "the memory for what waits is full: No space left on device"
@@ -227,7 +229,7 @@ def test_a_stop_does_not_wait_for_the_disk(line, caplog):
     assert "jobs are lost that no disk took" in caplog.text
 
 
-class SlowWorker:
+class SlowWorker(BackgroundTask):
     """Worker that finishes a set at every fourth poll."""
 
     trouble, damaged = "", {}
@@ -239,19 +241,19 @@ class SlowWorker:
     def waits(self):
         return self.n_under_way > 0
 
-    def put(self, set_index):
+    def after_set(self, set_index):
         self.n_under_way += 1
         self.most = max(self.most, self.n_under_way)
 
-    def work(self):
+    def run_for(self, seconds=0.0):
         self.looks += 1
         self.n_under_way -= self.looks % 4 == 0 and self.n_under_way > 0
 
-    try_again = work
+    try_again = run_for
 
 
 def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
-    monkeypatch.setattr("daq_service.recording.persistence.MOST_UNDER_WAY", 2)
+    monkeypatch.setattr("daq_service.recording.waiting.MOST_UNDER_WAY", 2)
     worker = SlowWorker()
     assert line.run(archive=MemoryArchive(line.shelf), compaction=worker)
     assert (worker.most, worker.n_under_way) == (3, 0)
@@ -575,7 +577,7 @@ def test_an_open_set_whose_time_is_over_keeps_its_records(line):
 
 def test_a_pause_after_a_restart_keeps_the_records_of_an_open_set(line):
     archive = stop_in_set(line, ShotKey(position="C", set_index=1, shot_index=1))
-    line.order("hold", note="hands in the rig")
+    line.order("pause", note="hands in the rig")
     line.listen_every_s = 0.0
     assert line.run(archive=archive)
     assert [states(line, position)[1] for position in "ABCD"] == ["done", "done", "partial", "missed"]
@@ -660,7 +662,7 @@ def send_at(line, key, kind, **arguments):
 
 
 def test_a_pause_ends_the_running_set(line):
-    send_at(line, ShotKey(position="C", set_index=1, shot_index=1), "hold", note="hands in the rig")
+    send_at(line, ShotKey(position="C", set_index=1, shot_index=1), "pause", note="hands in the rig")
     line.run()
     assert line.instruments[0].struck[-1] == ("C", 1, 1, 0)
     assert states(line, "C")[:3] == ["done", "partial", "missed"]
@@ -668,14 +670,14 @@ def test_a_pause_ends_the_running_set(line):
 
 
 def test_a_transducer_disabled_during_a_set_is_not_struck_again(line):
-    send_at(line, ShotKey(position="B", set_index=1, shot_index=1), "retire", position="C")
+    send_at(line, ShotKey(position="B", set_index=1, shot_index=1), "disable", position="C")
     line.run()
     assert {strike[:2] for strike in line.instruments[0].struck if strike[1] == 1} == {("B", 1), ("D", 1)}
     assert states(line, "C")[:3] == ["done", "missed", "retired"]
 
 
 def test_a_pause_misses_sets_with_its_reason_also_after_a_restart(line):
-    line.order("hold", note="hands in the rig")
+    line.order("pause", note="hands in the rig")
     assert line.run()
     assert line.instruments[0].struck == []
     assert (
@@ -686,7 +688,7 @@ def test_a_pause_misses_sets_with_its_reason_also_after_a_restart(line):
 
 
 def test_a_disabled_transducer_is_not_struck_and_the_others_are(line):
-    line.order("retire", position="C")
+    line.order("disable", position="C")
     line.run()
     assert {strike[0] for strike in line.instruments[0].struck} == {"B", "D"}
     assert states(line, "C") == ["retired"] * SETS

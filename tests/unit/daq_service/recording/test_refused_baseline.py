@@ -22,7 +22,7 @@ def line(request, tmp_path_factory):
     )
     line = Line(tmp_path_factory.mktemp("data"), settings, listen_every_s=0.0)
     orders = {
-        ("B", LAST + 2): [("approve_baseline", {"position": "B"}), ("confirm", {"position": "B"})],
+        ("B", LAST + 2): [("approve_baseline", {"position": "B"}), ("strike", {"position": "B"})],
         ("C", LAST + 2): [("renew_baseline", {"position": "B", "note": "a hold"})],
     }
     line.seen = {}
@@ -50,14 +50,14 @@ def test_a_transducer_with_a_refused_baseline_is_not_assessed(line):
     for status in line.seen.values():
         assert (status["state"], status["last_verdict"]["reason"]) == ("not_judged", REASON)
         assert status["baseline"]["limit_reason"] == REASON
-    assert line.seen.keys() == {"approve_baseline", "confirm", "renew_baseline"}
+    assert line.seen.keys() == {"approve_baseline", "strike", "renew_baseline"}
 
 
 def test_a_baseline_without_limits_is_neither_approved_nor_used(line):
     with line.catalogue() as catalogue:
         answers = {row.kind: (row.state, row.result) for row in catalogue.rows(CommandRow)}
     assert answers["approve_baseline"] == ("refused", f"the baseline of B has no limits: {REASON}")
-    assert answers["confirm"] == ("refused", f"B has nothing to compare a set with: {REASON}")
+    assert answers["strike"] == ("refused", f"B has nothing to compare a set with: {REASON}")
     assert answers["renew_baseline"][0] == "done"
 
 

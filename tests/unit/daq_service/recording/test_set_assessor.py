@@ -299,7 +299,7 @@ def test_a_restart_restores_an_enabled_transducer(line):
         return silent("noisy") if key.position == "D" and key.set_index in (0, 1, 2, 4, 5) else healthy(key)
 
     run_until(line, "C", 3, script)  # D retired after three poor sets: C's is the last strike
-    line.order("reinstate", position="D")
+    line.order("enable", position="D")
     run_until(line, "D", 4, script)
     line.script = script
     line.run()
@@ -402,7 +402,7 @@ def test_rows_alarms_and_events_of_a_set_are_one_transaction(line, monkeypatch):
 
 
 def test_every_position_has_a_row_in_every_set(line):
-    line.order("retire", position="B")
+    line.order("disable", position="B")
     line.script = lambda key: None if key.position == "A" and key.set_index == 1 else healthy(key)
     line.run()
     rows = line.rows("sets")

@@ -10,7 +10,7 @@ from support.memory_line import SETS, Line, healthy, memory_settings
 from daq_service.clock import parse_utc, wall
 from daq_service.errors import UsageError
 from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
-from daq_service.recording.recorder import OVERSLEPT
+from daq_service.recording.persistence import OVERSLEPT
 from daq_service.recording.resumed_time import EARLIEST_UTC, hour_0, time_before
 from hardware_drivers.measurement import ShotKey
 

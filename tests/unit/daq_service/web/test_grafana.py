@@ -38,7 +38,7 @@ def folder(tmp_path_factory):
     for index in range(60):
         folder.add_set(index, stored=index == 0)
     folder.add_alarm("B", 55)
-    folder.catalogue.add_command("ann", "hold", {"note": "hands"})
+    folder.catalogue.add_command("ann", "pause", {"note": "hands"})
     yield folder
     folder.close()
 

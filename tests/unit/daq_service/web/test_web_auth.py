@@ -28,7 +28,7 @@ from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
 
 TLS = Path(__file__).parents[3] / "fixtures" / "tls"
 ENCRYPTED = {"tls_certificate": str(TLS / "certificate.pem"), "tls_key": str(TLS / "key.pem")}
-HOLD = {"kind": "hold", "author": "mallory", "arguments": {"note": "hands in the rig"}}
+HOLD = {"kind": "pause", "author": "mallory", "arguments": {"note": "hands in the rig"}}
 DUE = "/api/v1/info"
 
 
@@ -103,7 +103,7 @@ def test_without_tokens_requests_are_accepted_under_their_claimed_name(filled):
         assert api.get("/api/v1/session").json()["role"] == "claimed"
         assert api.post("/api/v1/commands", json=HOLD).json()["author"] == "mallory"
         assert api.post("/api/v1/tokens", json={"name": "ann", "role": "admin"}).status_code == 409
-        (row,) = [row for row in api.get("/api/v1/audit").json()["items"] if row["what"] == "hold"]
+        (row,) = [row for row in api.get("/api/v1/audit").json()["items"] if row["what"] == "pause"]
     assert (row["who"], row["role"], row["result"], row["source"]) == (
         "mallory",
         "claimed",
@@ -123,7 +123,7 @@ def test_with_a_token_the_name_is_the_token_s(filled, tokens):
         refused = api.post("/api/v1/commands", json={"kind": "stop"})
         assert (refused.status_code, refused.json()["type"]) == (403, "urn:solimon:problem:role-too-low")
         assert "stop needs the role engineer; ann is operator" in refused.text
-    (held,) = audit_entries(filled.folder, what="hold")
+    (held,) = audit_entries(filled.folder, what="pause")
     assert (held.who, held.role, held.result, held.command_id) == ("ann", "operator", "accepted", 1)
     (stopped,) = audit_entries(filled.folder, what="stop")
     assert (stopped.who, stopped.result, stopped.command_id) == ("ann", "refused", None)
@@ -401,7 +401,7 @@ def test_a_flood_of_refusals_leaves_a_bounded_number_of_lines_and_their_count(tm
 
 def test_a_torn_line_takes_no_other_with_it(tmp_path):
     audit = Audit(tmp_path)
-    ann = {"who": "ann", "role": "admin", "source": "terminal", "what": "hold", "result": "accepted"}
+    ann = {"who": "ann", "role": "admin", "source": "terminal", "what": "pause", "result": "accepted"}
     audit.add(**ann)
     with (tmp_path / "audit.jsonl").open("ab") as file:
         file.write(b'{"crc32":"0000')
@@ -413,7 +413,7 @@ def test_a_torn_line_takes_no_other_with_it(tmp_path):
 def test_pages_of_the_audit_log_are_complete(tmp_path):
     audit = Audit(tmp_path)
     for number in range(25):
-        audit.add(who=f"p{number}", role="admin", source="terminal", what="hold", result="accepted")
+        audit.add(who=f"p{number}", role="admin", source="terminal", what="pause", result="accepted")
     seen, end = [], None
     while True:
         page, end = read_audit(tmp_path, limit=7, end=end)
@@ -432,7 +432,7 @@ def audited(tmp_path):
             who=("ann", "ben")[number % 3 == 0],
             role="admin",
             source="terminal",
-            what=("hold", "stop")[number % 2],
+            what=("pause", "stop")[number % 2],
             result="accepted",
             utc_ns=1_704_067_200_000_000_000 + number * 1_000_000_000,
         )
@@ -444,8 +444,8 @@ def audited(tmp_path):
     ("query", "found"),
     [
         ({"who": "ben"}, range(0, 25, 3)),
-        ({"what": "hold"}, range(0, 25, 2)),
-        ({"what": "hold,stop", "who": "ann"}, [n for n in range(25) if n % 3]),
+        ({"what": "pause"}, range(0, 25, 2)),
+        ({"what": "pause,stop", "who": "ann"}, [n for n in range(25) if n % 3]),
         ({"result": "refused"}, []),
         ({"from_utc": "2024-01-01T00:00:03Z", "to_utc": "2024-01-01T01:00:07+01:00"}, range(3, 7)),
         ({"from_utc": "0001-01-01T00:00:00+14:00", "to_utc": "9999-12-31T23:59:59-14:00"}, range(25)),
@@ -467,7 +467,7 @@ def test_the_filtered_audit_log_is_complete(audited, monkeypatch, query, found):
 @pytest.mark.parametrize(
     ("query", "message"),
     [
-        ({"what": "hold,explode"}, "what names 'explode'"),
+        ({"what": "pause,explode"}, "what names 'explode'"),
         ({"result": "maybe"}, "query /result"),
         ({"from_utc": "2024-01-01T00:00:00"}, "query /from_utc"),
         ({"to_utc": "1704067200"}, "give a time with its offset, such as 2024-01-01T00:00:00Z"),

@@ -63,7 +63,7 @@ def test_other_commands_are_rejected_with_a_remedy(ended, finished):
         again = FilledFolder(filled.folder, filled.settings, exists=True)
         again.say("recorder_started")
         again.close()
-    body = ordered(api, "hold", note="door open").json()
+    body = ordered(api, "pause", note="door open").json()
     reason = "The recorder has finished" if finished else "Nobody records this test"
     assert (body["status"], body["detail"]) == (409, f"{reason}: nobody would carry this out.")
     assert "solimon run" in body["hint"]

@@ -180,10 +180,10 @@ def test_metrics_have_the_name_of_the_test(several):
 
 
 def test_a_command_is_audited_in_the_folder_of_its_test(several):
-    order = {"kind": "hold", "author": "ann", "arguments": {"note": "hands in the rig"}}
+    order = {"kind": "pause", "author": "ann", "arguments": {"note": "hands in the rig"}}
     assert several.client.post("/tests/hole-nr-2/api/v1/commands", json=order).status_code == 202
     (entry, *_) = several.client.get("/tests/hole-nr-2/api/v1/audit").json()["items"]
-    assert (entry["what"], entry["who"]) == ("hold", "ann")
+    assert (entry["what"], entry["who"]) == ("pause", "ann")
     assert several.client.get("/tests/hole-its-twin/api/v1/audit").json()["items"] == []
     assert several.client.get("/api/v1/audit").json()["items"] == []
 
@@ -351,7 +351,7 @@ def test_one_login_is_valid_for_all_tests_of_the_service_alone(several, tmp_path
         assert client.post("/api/v1/session", json={"token": viewer}).json()["name"] == "vera"
         for path in (*inside[:3], "/tests/hole-its-twin/api/v1/info"):
             assert client.get(path).status_code == 200, path
-        order = {"kind": "retire", "author": "x", "arguments": {"position": "B"}}
+        order = {"kind": "disable", "author": "x", "arguments": {"position": "B"}}
         assert client.post("/tests/hole-its-twin/api/v1/commands", json=order).status_code == 403
         deeds, _ = read_audit(tmp_path, limit=10)
         assert [(deed.what, deed.who) for _, deed in deeds] == [("log_in", "vera")]
@@ -385,7 +385,7 @@ def test_a_test_whose_own_service_asks_for_tokens_is_not_shown_without_any(sever
 def test_the_token_check_applies_to_every_test(several):
     for path in ("/api/v1/tests", "/tests/hole-nr-2/api/v1/info"):
         assert several.client.get(path, headers={"Host": "evil.example"}).status_code == 400
-    order = {"kind": "hold", "arguments": {"note": "x"}}
+    order = {"kind": "pause", "arguments": {"note": "x"}}
     for test in ("hole-nr-2", "none"):
         path = f"/tests/{test}/api/v1/commands"
         answer = several.client.post(path, json=order, headers={"Origin": "http://evil.example"})

@@ -300,14 +300,14 @@ def test_alarm_that_does_not_wait_cannot_be_acknowledged(api, filled):
         ({"kind": "stop", "arguments": {"now": True}}, "/stop/arguments/now"),
         ({"kind": "stop", "author": ""}, "/stop/author"),
         ({"kind": "acknowledge_alarm"}, "/acknowledge_alarm/arguments"),
-        ({"kind": "hold", "arguments": {"note": "why", "position": "B"}}, "/hold/arguments/position"),
-        ({"kind": "hold"}, "/hold/arguments"),
-        ({"kind": "hold", "arguments": {}}, "/hold/arguments/note"),
-        ({"kind": "hold", "arguments": {"note": "  "}}, "/hold/arguments/note"),
-        ({"kind": "release", "arguments": {"note": "x" * 2001}}, "/release/arguments/note"),
-        ({"kind": "retire"}, "/retire/arguments"),
-        ({"kind": "retire", "arguments": {"note": "hot"}}, "/retire/arguments/position"),
-        ({"kind": "reinstate", "arguments": {"position": 1}}, "/reinstate/arguments/position"),
+        ({"kind": "pause", "arguments": {"note": "why", "position": "B"}}, "/pause/arguments/position"),
+        ({"kind": "pause"}, "/pause/arguments"),
+        ({"kind": "pause", "arguments": {}}, "/pause/arguments/note"),
+        ({"kind": "pause", "arguments": {"note": "  "}}, "/pause/arguments/note"),
+        ({"kind": "resume", "arguments": {"note": "x" * 2001}}, "/resume/arguments/note"),
+        ({"kind": "disable"}, "/disable/arguments"),
+        ({"kind": "disable", "arguments": {"note": "hot"}}, "/disable/arguments/position"),
+        ({"kind": "enable", "arguments": {"position": 1}}, "/enable/arguments/position"),
         ({"kind": "supply_on"}, "/supply_on/author"),
         (
             {"kind": "supply_on", "author": "Ada", "arguments": {"voltage_v": 61}},
@@ -344,34 +344,34 @@ def ordered(api, kind, **arguments):
 
 def test_pause_and_resume_become_rows_or_are_rejected(lab):
     filled, api = lab
-    problem(ordered(api, "release"), 409, "conflict")
-    assert ordered(api, "hold", note="door open").status_code == 202
+    problem(ordered(api, "resume"), 409, "conflict")
+    assert ordered(api, "pause", note="door open").status_code == 202
     (row,) = filled.catalogue.open_commands()
-    assert (row.kind, row.author, row.arguments) == ("hold", "Ada", {"note": "door open"})
+    assert (row.kind, row.author, row.arguments) == ("pause", "Ada", {"note": "door open"})
     filled.say("hold", held="held by Ada: door open", author="Ada")
-    refusal = problem(ordered(api, "hold", note="again"), 409, "conflict")
+    refusal = problem(ordered(api, "pause", note="again"), 409, "conflict")
     assert "held by Ada: door open" in refusal["detail"]
-    assert ordered(api, "release").status_code == 202
+    assert ordered(api, "resume").status_code == 202
     kinds = [(row.kind, row.arguments) for row in filled.catalogue.open_commands()]
-    assert kinds == [("hold", {"note": "door open"}), ("release", {"note": ""})]
+    assert kinds == [("pause", {"note": "door open"}), ("resume", {"note": ""})]
 
 
 def test_disable_and_enable_become_rows_or_are_rejected(lab):
     filled, api = lab
     for position in ("Z", "A"):
-        for kind in ("retire", "reinstate"):
+        for kind in ("disable", "enable"):
             refusal = problem(ordered(api, kind, position=position), 409, "conflict")
             assert f"no solitary-wave transducer '{position}'" in refusal["detail"]
-    assert "not retired" in problem(ordered(api, "reinstate", position="B"), 409, "conflict")["detail"]
-    assert ordered(api, "retire", position="B", note="coil is hot").status_code == 202
+    assert "not disabled" in problem(ordered(api, "enable", position="B"), 409, "conflict")["detail"]
+    assert ordered(api, "disable", position="B", note="coil is hot").status_code == 202
     filled.retire("B", 1)
-    refusal = problem(ordered(api, "retire", position="B"), 409, "conflict")
+    refusal = problem(ordered(api, "disable", position="B"), 409, "conflict")
     assert "10 sets running with nothing at B" in refusal["detail"]
-    assert ordered(api, "reinstate", position="B").status_code == 202
+    assert ordered(api, "enable", position="B").status_code == 202
     kinds = [(row.kind, row.arguments) for row in filled.catalogue.open_commands()]
     assert kinds == [
-        ("retire", {"position": "B", "note": "coil is hot"}),
-        ("reinstate", {"position": "B", "note": ""}),
+        ("disable", {"position": "B", "note": "coil is hot"}),
+        ("enable", {"position": "B", "note": ""}),
     ]
 
 
@@ -398,10 +398,10 @@ def test_the_supply_is_switched_by_a_named_author(tmp_path, lab):
 @pytest.mark.parametrize(
     ("kind", "arguments"),
     [
-        ("hold", {"note": "why"}),
-        ("release", {}),
-        ("retire", {"position": "B"}),
-        ("reinstate", {"position": "B"}),
+        ("pause", {"note": "why"}),
+        ("resume", {}),
+        ("disable", {"position": "B"}),
+        ("enable", {"position": "B"}),
     ],
 )
 def test_a_stopped_recorder_accepts_no_supply_command(lab, kind, arguments):

@@ -107,7 +107,7 @@ def test_a_malformed_header_is_a_client_error(api, path, headers):
 BODIES = [
     b"[" * 60_000,
     b'{"\\ud800": 1}',
-    b'{"kind": "hold", "author": "\\ud800"}',
+    b'{"kind": "pause", "author": "\\ud800"}',
     b"\xff",
     b"1e999",
     b"{}{}",
@@ -158,8 +158,8 @@ def test_a_blank_author_or_reason_is_rejected(filled, api, blank):
     before = len(filled.catalogue.open_commands())
     assert api.post("/api/v1/alarms/1/acknowledge", json={"author": blank}).status_code == 422
     for kind, author, arguments in (
-        ("release", blank, {}),
-        ("hold", "ann", {"note": blank}),
+        ("resume", blank, {}),
+        ("pause", "ann", {"note": blank}),
         ("renew_baseline", "ann", {"position": "B", "note": blank}),
         ("shelve_alarm", "ann", {"alarm_id": 1, "for_h": 1.0, "reason": blank}),
         ("take_out_of_service", "ann", {"alarm_id": 1, "reason": blank}),

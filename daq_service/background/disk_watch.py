@@ -1,0 +1,109 @@
+"""Watch of the volume of a data folder, and the reserve for an orderly stop."""
+
+from __future__ import annotations
+
+import logging
+import os
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from daq_service.background.task import BackgroundTask
+from daq_service.processes.disk_policy import RESERVE_FILE, DiskSpace, Usage, disk_space, disk_usage, refusal
+from daq_service.settings.tree import StorageSettings
+from daq_service.shared_file import O_BINARY, remove_quietly, write_all
+
+log = logging.getLogger(__name__)
+
+LOOK_EVERY_S = 10.0
+_CHUNK = bytes(2**20)
+
+
+class DiskWatch(BackgroundTask):
+    """Periodic check of the volume, and owner of the reserve file.
+
+    Parameters
+    ----------
+    usage
+        Free and total bytes; default: of the operating system.
+
+    Attributes
+    ----------
+    space
+        Newest measurement.
+    on_change
+        Called with the space when its level has changed.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        settings: StorageSettings,
+        *,
+        usage: Usage = disk_usage,
+        mono_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._path, self._settings = folder / RESERVE_FILE, settings
+        self._usage, self._mono_s = usage, mono_s
+        self._next_s = -float("inf")
+        self._reserve_bytes = settings.reserve_mb * 10**6
+        self.space = DiskSpace(free_bytes=0, total_bytes=0, level="ample")
+        self.on_change: Callable[[DiskSpace], None] = lambda space: None
+
+    def run_for(self, seconds: float) -> None:
+        """Measure if it is due, and report a change of level; takes no time, so also between shots."""
+        if (space := self.check()) is not None:
+            self.on_change(space)
+
+    def close(self) -> None:
+        """Give the reserve back."""
+        self.free_reserve()
+
+    def check(self) -> DiskSpace | None:
+        """Measure if it is due; return the space where its level has changed, else None."""
+        if self._mono_s() < self._next_s:
+            return None
+        self._next_s, before = self._mono_s() + LOOK_EVERY_S, self.space.level
+        try:
+            self.space = disk_space(self._path.parent, self._settings, before=before, usage=self._usage)
+        except OSError as error:  # the folder is missing: writing there reports it
+            log.debug("cannot ask how full %s is: %s", self._path.parent, error)
+            return None
+        if self.space.free_bytes < self._reserve_bytes // 4:
+            self.free_reserve()
+        elif self.space.level != "stop" and self.space.free_bytes > 2 * self._reserve_bytes:
+            self._allocate_reserve()
+        return None if self.space.level == before else self.space
+
+    @property
+    def refusal(self) -> str:
+        """Reason why nothing is stored now; empty: there is room."""
+        return refusal(self.space, self._settings)
+
+    def free_reserve(self) -> None:
+        """Delete the reserve file, so that the data waiting in memory fit on the disk."""
+        remove_quietly(self._path)
+
+    def _allocate_reserve(self) -> None:
+        """Allocate the reserve file, if it does not exist."""
+        try:
+            if not self._reserve_bytes or self._path.stat().st_size == self._reserve_bytes:
+                return
+        except FileNotFoundError:
+            pass
+        except OSError as error:
+            log.warning("the reserve %s cannot be looked at: %s", self._path, error)
+            return
+        try:
+            descriptor = os.open(self._path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | O_BINARY, 0o644)
+            try:
+                if hasattr(os, "posix_fallocate"):
+                    os.posix_fallocate(descriptor, 0, self._reserve_bytes)
+                else:
+                    for first in range(0, self._reserve_bytes, len(_CHUNK)):
+                        write_all(descriptor, [memoryview(_CHUNK)[: self._reserve_bytes - first]])
+            finally:
+                os.close(descriptor)
+        except OSError as error:
+            log.warning("no reserve of %d MB is kept: %s", self._reserve_bytes // 10**6, error)
+            self.free_reserve()

@@ -1,0 +1,152 @@
+"""What the last recorder left: open sets, files without rows, corrupt parts of the journal."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import replace
+from functools import partial
+
+from daq_service.acquisition.schedule import DueSet
+from daq_service.archive import CorruptArchiveError, OpenSet
+from daq_service.catalogue.rows import SetRow
+from daq_service.recording.acquire_set import SetAcquisition
+from daq_service.recording.experiment import foreign_reason, refuse_foreign, refuse_foreign_open_set
+from daq_service.recording.persistence import Persistence
+from daq_service.recording.resources import Resources
+from daq_service.recording.set_assessor import SetAssessor
+from hardware_drivers.measurement import purpose_of
+from hardware_drivers.nanoseconds import NS_PER_H
+
+log = logging.getLogger(__name__)
+
+
+class CarriedOver:
+    """Sets of earlier recorders that are not finished.
+
+    Attributes
+    ----------
+    open_sets
+        Sets that were started and have no rows, by set index.
+    corruption_of
+        What is corrupt of a set, by set index.
+    """
+
+    def __init__(
+        self,
+        resources: Resources,
+        assessor: SetAssessor,
+        persistence: Persistence,
+        acquisition: SetAcquisition,
+    ) -> None:
+        self._positions, self._plan = tuple(resources.settings.positions), resources.plan
+        self._archive, self._catalogue = resources.archive, resources.catalogue
+        self._set_assessor, self._persistence, self._acquisition = assessor, persistence, acquisition
+        self._epoch_ns = resources.epoch_ns
+        done, corrupt = self._catalogue.committed_sets(), self._archive.journal_damage
+        self.open_sets = dict(self._archive.open_sets())
+        for opened in self.open_sets.values():
+            if opened.is_dated:
+                refuse_foreign_open_set(opened, self._plan, self._archive.name)
+        self._rowless_files = {
+            index: file
+            for index, file in self._archive.sets().items()
+            if index not in done and index not in self.open_sets
+        }
+        reason = f"its part of the journal was damaged: {', '.join(corrupt.files)}"
+        self.corruption_of = dict.fromkeys(corrupt.sets, reason)
+        self.open_sets = {
+            index: opened if opened.is_dated else self._dated(opened)
+            for index, opened in self.open_sets.items()
+        }
+        for index in done & self.open_sets.keys():
+            opened = self.open_sets.pop(index)
+            if not opened.records:
+                self._archive.settle(index)
+            elif index in corrupt.sets:
+                persistence.do(partial(self._end_again, opened))
+            else:
+                persistence.after_set(
+                    index
+                )  # a frame of it is corrupt: that is reported, and the others stay
+        sequences = [item.sequence + 1 for opened in self.open_sets.values() for item in opened.records]
+        known = [self._catalogue.next_sequence(), corrupt.next_sequence, *sequences]
+        acquisition.next_sequence = max(known) + corrupt.n_lost
+
+    def holds(self, set_index: int) -> bool:
+        """Whether strikes of a set were made by an earlier recorder."""
+        return set_index in self.open_sets or set_index in self._rowless_files
+
+    def unscheduled(self) -> list[DueSet]:
+        """List open unscheduled sets: where the catalogue was lost, so was the request for them."""
+        found = []
+        for index, opened in self.open_sets.items():
+            if purpose_of(index) != "planned":
+                (position,) = (name for name in self._positions if name not in opened.retired)
+                found.append(replace(self._due_of(opened), position=position))
+        return found
+
+    def _due_of(self, opened: OpenSet) -> DueSet:
+        due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
+        return DueSet(set_index=opened.set_index, due_h=due_h, due_utc_ns=opened.due_utc_ns)
+
+    def _dated(self, opened: OpenSet) -> OpenSet:
+        """Give a set whose first frame is corrupt the times and positions that rows or schedule have."""
+        index = opened.set_index
+        rows = self._catalogue.rows(SetRow, first_set=index, last_set=index, purpose="any")
+        known = [row.due_utc_ns for row in rows] + [due.due_utc_ns for due in self._plan[index : index + 1]]
+        struck = {item.key.position for item in (*opened.records, *opened.missed)}
+        planned = purpose_of(index) == "planned"
+        left_out = (
+            self._set_assessor.retired() if planned else dict.fromkeys(self._positions, "not asked for")
+        )
+        return replace(
+            opened,
+            due_utc_ns=known[0] if known else opened.due_utc_ns,
+            retired={name: reason for name, reason in left_out.items() if name not in struck},
+        )
+
+    def _end_again(self, opened: OpenSet) -> None:
+        """Let what is sound of a stored set get its file, though its end or records of it are corrupt."""
+        file = self._archive.sets().get(opened.set_index)
+        if file is not None:
+            record = self._archive.read_set(file, skip_damaged=True)
+        else:
+            taken, reason = self._acquisition.restored(opened), self.corruption_of[opened.set_index]
+            record = self._acquisition.record_of(self._due_of(opened), taken, reason)
+        self._archive.resume_set(opened)
+        self._archive.store_set(record)
+        self._persistence.after_set(opened.set_index)
+
+    def quarantine_corrupt_files(self) -> None:
+        """Let no corrupt file without rows block the start: its set is due again, or missed."""
+        for set_index, file in list(self._rowless_files.items()):
+            try:
+                reason = foreign_reason(self._archive.read_set(file), self._catalogue.experiment_row())
+                refuse_foreign([f"{file}: {reason}"] if reason else [], self._archive.name)
+            except CorruptArchiveError as error:
+                log.error("set %d is set aside: %s", set_index, error)
+                self._archive.set_aside(file)
+                del self._rowless_files[set_index]
+                self.corruption_of[set_index] = f"its file was damaged and is set aside ({error})"
+
+    def adopt(self, due: DueSet) -> int | None:
+        """Give a file its rows: the last recorder died between rename and commit.
+
+        Returns
+        -------
+        int or None
+            When its set ended (UTC in ns); None: the set has no such file.
+        """
+        file = self._rowless_files.get(due.set_index)
+        if file is None:
+            return None
+        record = self._archive.read_set(file)
+        features = {shot.sequence: self._acquisition.features_of(shot) for shot in record.shots}
+        sha256 = self._archive.digest(file)
+        assess = partial(self._set_assessor.assessed, due, record, file, features, sha256=sha256)
+        self._persistence.post(assess, self._set_assessor.commit)
+        if sha256 is None:  # it is still in the journal
+            self._persistence.do(partial(self._persistence.after_set, due.set_index))
+        self._acquisition.number_after(record)
+        log.warning("set %d: rows made again from %s/%s", due.set_index, self._archive.name, file)
+        return record.ended_utc_ns

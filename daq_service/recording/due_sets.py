@@ -1,0 +1,166 @@
+"""When each set is due, scheduled or not; sets whose time is over are closed."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Collection, Iterator, Sequence
+
+from daq_service.acquisition.schedule import DueSet
+from daq_service.assessment.confirmation import overlap_reason
+from daq_service.errors import RigError
+from daq_service.recording.carried_over import CarriedOver
+from daq_service.recording.opening import is_transient
+from daq_service.recording.persistence import Persistence
+from daq_service.recording.resources import Resources
+from daq_service.recording.set_assessor import SetAssessor
+from daq_service.recording.waiting import Waiting
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.measurement import in_order
+from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
+
+log = logging.getLogger(__name__)
+
+SELF_CALIBRATION_TAKES_NS = 180 * NS_PER_S
+"""A board's self-calibration takes up to two minutes: it is started only when there is time for it. The first
+one comes at once, since it is unknown how long the boards have been warm."""
+
+
+class DueSets:
+    """Follows the schedule; unscheduled sets are taken between scheduled ones.
+
+    Parameters
+    ----------
+    record_gap
+        Called with a set whose time is over, and the reason.
+    """
+
+    def __init__(
+        self,
+        resources: Resources,
+        assessor: SetAssessor,
+        persistence: Persistence,
+        carried_over: CarriedOver,
+        waiting: Waiting,
+        record_gap: Callable[[DueSet, str], None],
+    ) -> None:
+        self._resources, self._plan, self._rig = resources, resources.plan, resources.rig
+        self._clock, self._stop = resources.rig.clock, resources.stop
+        self._set_assessor, self._persistence = assessor, persistence
+        self._carried_over, self._waiting, self._record_gap = carried_over, waiting, record_gap
+        self._started_unscheduled: set[int] = set()
+        self._calibrated_ns: int | None = None
+
+    def follow(self, done: Collection[int], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
+        """Yield each set when it is due: the caller takes it before it asks for the next one.
+
+        Parameters
+        ----------
+        done
+            Sets that have rows.
+        absences
+            Until when (ns of UTC) sets were missed for what reason, in order.
+        """
+        for number, due in enumerate(self._plan):
+            if due.set_index in done:
+                self._waiting.newest = due
+                continue
+            yield from self._unscheduled_before(due)
+            self._waiting.next_set = due.set_index + self._carried_over.holds(due.set_index)
+            if not (self._adopted(due) or self._closed_overdue(due, absences)):
+                yield from self._when_due(due)
+            self._waiting.newest = due
+            if not self._stop.is_set() and not self._resources.in_real_time:
+                self._waiting.until_stored()
+                self._waiting.for_worker()
+            if self._stop.is_set():
+                break
+            self._resources.report("progress", done=number + 1, planned=len(self._plan), due_h=due.due_h)
+        yield from self._unscheduled_before(None)
+        self._waiting.newest = None
+
+    def _when_due(self, due: DueSet) -> Iterator[DueSet]:
+        """Wait for a scheduled set; unscheduled ones that are requested meanwhile come first."""
+        self._calibrate_before(due)
+        # Simulated time has no idle hours: there files are checked after the last set.
+        self._waiting.free_until_ns = due.due_utc_ns if self._resources.in_real_time else -math.inf
+        self._waiting.doing = f"waiting for set {due.set_index}"
+        while not self._clock.wait_until(due.due_utc_ns, self._idle_unless_requested):
+            if self._stop.is_set():
+                return
+            yield from self._unscheduled_before(due)
+            self._waiting.doing = f"waiting for set {due.set_index}"
+        if not self._closed_overdue(due):
+            self._waiting.newest = due
+            yield due
+
+    def _adopted(self, due: DueSet) -> bool:
+        """Give a file of the last recorder its rows; simulated time goes on where its set ended."""
+        ended_ns = self._carried_over.adopt(due)
+        if ended_ns is not None:
+            self._clock.wait_until(ended_ns, self._waiting.between_sets)
+        return ended_ns is not None
+
+    def _closed_overdue(self, due: DueSet, absences: Sequence[tuple[int, str]] = ()) -> bool:
+        """Close a set whose time is over, since the next one is due."""
+        following = self._plan[due.set_index + 1 : due.set_index + 2]
+        over_ns = following[0].due_utc_ns if following else due.due_utc_ns + NS_PER_H
+        if self._clock.utc_ns() < over_ns:
+            return False
+        reason = next((reason for until_ns, reason in absences if due.due_utc_ns <= until_ns), "")
+        self._record_gap(due, reason or self._persistence.overdue_reason(due.due_utc_ns))
+        return True
+
+    def _calibrate_before(self, due: DueSet) -> None:
+        """Let the boards calibrate themselves between sets, as often as configured."""
+        self_calibrating, interval_h = self._rig.self_calibrating, self._rig.self_calibration_interval_h
+        if self_calibrating is None or not interval_h:
+            return
+        now_ns = self._clock.utc_ns()
+        age_h = math.inf if self._calibrated_ns is None else (now_ns - self._calibrated_ns) / NS_PER_H
+        has_time = due.due_utc_ns - now_ns > SELF_CALIBRATION_TAKES_NS or self._calibrated_ns is None
+        if age_h < interval_h or not has_time:
+            return
+        self._waiting.announce(f"self-calibration before set {due.set_index}")
+        try:
+            result = self_calibrating.self_calibrate()
+        except InstrumentError as error:
+            if not is_transient(error, proven=self._set_assessor.proven):
+                raise RigError(f"self-calibration before set {due.set_index} failed: {error}") from error
+            log.warning("self-calibration before set %d failed: %s", due.set_index, error)
+            result = {"failed": str(error)}
+        self._calibrated_ns = now_ns
+        self._persistence.say("self_calibrated", dict(result))
+
+    # Unscheduled sets -----------------------------------------------------------------------------
+
+    def _requested(self) -> list[DueSet]:
+        """List what waits, in the order of the sets; what was started waits for the disk at most."""
+        found = {due.set_index: due for due in self._carried_over.unscheduled()}
+        found |= {index: one.due for index, one in self._set_assessor.confirmations.waiting.items()}
+        return [found[index] for index in sorted(found.keys() - self._started_unscheduled, key=in_order)]
+
+    def _idle_unless_requested(self) -> bool:
+        return self._waiting.between_sets() and not self._requested()
+
+    def _unscheduled_before(self, scheduled: DueSet | None) -> Iterator[DueSet]:
+        """Yield what to take before a scheduled set; None: after the last one."""
+        for due in self._requested():
+            after, _ = in_order(due.set_index)
+            if not self._stop.is_set() and (scheduled is None or after < scheduled.set_index):
+                self._started_unscheduled.add(due.set_index)
+                if not self._adopted(due):
+                    yield due
+
+    def hindrance(self, due: DueSet) -> str:
+        """Return why an unscheduled set cannot be taken: late or transducer disabled; empty: it can."""
+        if due.position is None:
+            return ""
+        if reason := self._set_assessor.retired().get(due.position):
+            return reason
+        now_ns = self._clock.utc_ns()
+        if now_ns > due.due_utc_ns + NS_PER_H:
+            return self._persistence.overdue_reason(due.due_utc_ns)
+        after, _ = in_order(due.set_index)
+        confirmations = self._set_assessor.confirmations
+        return overlap_reason(confirmations.room_ns(self._plan[after], now_ns), confirmations.set_ns)

@@ -1,0 +1,158 @@
+"""What a recorder works with: its test, its data folder, its instruments and its computer."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from daq_service.acquisition.schedule import DueSet, plan
+from daq_service.alarms.states import Moment
+from daq_service.archive import Archive
+from daq_service.background.disk_watch import DiskWatch
+from daq_service.background.finalize_sets import SetFinalizer
+from daq_service.background.live_figure import LiveFigure
+from daq_service.background.task import BackgroundTask
+from daq_service.background.verification import IdleVerification
+from daq_service.catalogue import RecorderCatalogue
+from daq_service.clock import Before, WallClock
+from daq_service.commands.execution import LISTEN_EVERY_S
+from daq_service.corrosion_drive.remote import RemoteDrive
+from daq_service.processes.disk_policy import Usage, disk_usage
+from daq_service.processes.heartbeat import Heartbeat, WebWatch
+from daq_service.processes.worker import one_worker
+from daq_service.recording.computer_load import ComputerLoadWatch
+from daq_service.recording.opening import WAITS_FOR_RIG_S
+from daq_service.settings.tree import Settings
+from hardware_drivers.instruments import Clock, Rig
+from hardware_drivers.nanoseconds import NS_PER_H
+
+Reporter = Callable[..., None]
+"""Called with the name of an event and its values: ``beat``, ``begun`` (first set is due or awaited),
+``progress``, ``alarm``, ``gap``, ``finished``, ``waits`` (for the rig, whose alarm is active)."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Host:
+    """The computer: its clocks, its worker process and its volume; only tests replace them.
+
+    Attributes
+    ----------
+    mono_s
+        Monotonic clock in seconds.
+    wall_clock
+        Makes the clock of a test in real time, from what is known of the time before.
+    worker
+        Makes the executor in which sets get their files.
+    disk_usage
+        Returns free and all bytes of the folder's volume.
+    look_every_s
+        Pause between two looks while a recorder can only wait.
+    listen_every_s
+        Shortest time between two looks for commands.
+    waits_for_rig_s
+        Wait before each further try to open the rig of a test that was started before; the last one repeats.
+    """
+
+    mono_s: Callable[[], float] = time.monotonic
+    wall_clock: Callable[[Before], Clock] = WallClock
+    worker: Callable[[], Executor] = one_worker
+    disk_usage: Usage = disk_usage
+    look_every_s: float = 0.1
+    listen_every_s: float = LISTEN_EVERY_S
+    waits_for_rig_s: Sequence[float] = WAITS_FOR_RIG_S
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SessionOptions:
+    """How a recorder is started.
+
+    Attributes
+    ----------
+    restart_reason
+        What ended the recorder before, as far as the supervisor knows.
+    linger
+        Stay after the last set and execute commands (acknowledgements) until ``stop``.
+    unsupervised
+        Set where ``stop`` is, because the supervisor is gone.
+    acknowledged
+        Called with the id of each shot (`Shot.sequence`) once it is durable.
+    remote_drive
+        The supply in a process of its own; None: the rig's supply, where it has one, is driven here.
+    """
+
+    restart_reason: str = ""
+    linger: bool = False
+    unsupervised: threading.Event = field(default_factory=threading.Event)
+    acknowledged: Callable[[int], None] = lambda shot_id: None
+    remote_drive: RemoteDrive | None = None
+
+
+THIS_COMPUTER, PLAIN = Host(), SessionOptions()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Resources:
+    """What the parts of a recorder share.
+
+    Attributes
+    ----------
+    finalizer, verification, disk, further_tasks
+        Work between sets, in this order.
+    computer_load
+        Reads with each set what the test costs its computer.
+    web
+        Watches the web service of the folder.
+    """
+
+    settings: Settings
+    archive: Archive
+    catalogue: RecorderCatalogue
+    rig: Rig
+    heartbeat: Heartbeat
+    live: LiveFigure
+    stop: threading.Event
+    report: Reporter
+    options: SessionOptions = PLAIN
+    host: Host = THIS_COMPUTER
+    finalizer: SetFinalizer | None = None
+    verification: IdleVerification | None = None
+    disk: DiskWatch | None = None
+    further_tasks: Sequence[BackgroundTask] = ()
+    computer_load: ComputerLoadWatch | None = None
+    web: WebWatch | None = None
+
+    @property
+    def tasks(self) -> list[BackgroundTask]:
+        """Work between sets."""
+        tasks = (self.finalizer, self.verification, self.disk, *self.further_tasks)
+        return [task for task in tasks if task is not None]
+
+    @cached_property
+    def epoch_ns(self) -> int:
+        """Hour 0 of the test (UTC)."""
+        return self.catalogue.experiment_row().epoch_utc_ns
+
+    @cached_property
+    def plan(self) -> Sequence[DueSet]:
+        """Every scheduled set; the set of index k is the k-th."""
+        schedule = self.settings.schedule
+        return plan(schedule.phases, self.epoch_ns, end_h=schedule.end_h)
+
+    @property
+    def in_real_time(self) -> bool:
+        """Whether time goes on while the recorder waits."""
+        return self.settings.clock.kind == "wall"
+
+    def moment(self) -> Moment:
+        """Return the present moment of the test."""
+        return moment_at(self.rig.clock, self.epoch_ns)
+
+
+def moment_at(clock: Clock, epoch_ns: int) -> Moment:
+    """Return the present moment of a test whose hour 0 is ``epoch_ns``."""
+    now_ns = clock.utc_ns()
+    return Moment(utc_ns=now_ns, due_h=(now_ns - epoch_ns) / NS_PER_H, set_index=None)
