@@ -15,7 +15,7 @@ from typing import Any, TypeVar, get_args
 
 import numpy as np
 import orjson
-from sqlalchemy import Connection, Select, bindparam, func, select, update
+from sqlalchemy import Connection, Select, bindparam, select, update
 
 from daq_service.catalogue.rows import Column, Row, columns_of
 from daq_service.catalogue.tables import KINDS, ROW_CRC32, table_of
@@ -83,7 +83,7 @@ def numbered(connection: Connection, rows: Sequence[R]) -> list[R]:
     if not any(getattr(row, "id", 0) is None for row in rows):
         return list(rows)
     table = table_of(type(rows[0]))
-    newest = connection.exec_driver_sql(f"select max(id) from {table.name}")  # noqa: S608 - a name of ours
+    newest = connection.exec_driver_sql(f"select max(id) from {table.name}")
     next_id = int(newest.scalar_one() or 0) + 1
     numbered_rows = []
     for row in rows:

@@ -105,6 +105,9 @@ class Committed:
 class RecorderCatalogue(Catalogue):
     """Catalogue of the recorder, its only writer."""
 
+    newest = SetCommit()
+    """Rows of the set that this process stored last."""
+
     @contextmanager
     def _writing(self, action: str) -> Iterator[Connection]:
         """Open a transaction for writing and translate errors."""
@@ -199,6 +202,8 @@ class RecorderCatalogue(Catalogue):
             _count(connection, commit, before, after)
             update_trends(connection, touched, last_before)
             order_id = _answer(connection, commit.order) if commit.order else None
+        if commit.sets:
+            self.newest = commit
         return Committed(
             event_ids=event_ids,
             alarm_ids=alarm_ids,
