@@ -31,7 +31,6 @@ import numpy as np
 from analysis.diagnosis.diagnose import Diagnosis
 from analysis.diagnosis.hypotheses import OK, PRIOR
 from analysis.diagnosis.slopes import COMPONENTS
-from analysis.diagnosis.state import RATES, DiagnosisState
 from analysis.statistics.named_limits import AVERAGE, CHART, LIMITS
 from analysis.ultrasound.thickness import EXTRACTOR_VERSION as ECHO_EXTRACTOR
 from analysis.waves.features import EXTRACTOR_VERSION
@@ -39,7 +38,7 @@ from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.archive.finalize_set import compact_set
 from daq_service.archive.records import set_reference
-from daq_service.assessment.diagnosis import averages_of, diagnosis_details
+from daq_service.assessment.diagnosis import diagnosis_details
 from daq_service.assessment.transaction import payload_of
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import SetCommit, open_catalogue
@@ -135,8 +134,8 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
     LiveFigure(folder, "simulated").show(last.echoes[0], due_h=due_sets[-1].due_h, features=None)
 
 
-def _chart_and_diagnosis_columns(index: int, drawn: list[float]) -> dict[str, Any]:
-    """Return chart, limits, diagnosis and state of an assessed set: 1.5 kB of columns."""
+def _chart_and_diagnosis_columns(drawn: list[float]) -> dict[str, Any]:
+    """Return chart, limits and diagnosis of an assessed set."""
     change = tuple(1e-3 * drawn[k % len(drawn)] for k in range(len(COMPONENTS)))
     cause = Diagnosis(
         cause=OK,
@@ -148,7 +147,6 @@ def _chart_and_diagnosis_columns(index: int, drawn: list[float]) -> dict[str, An
         reseated=False,
         returned=False,
     )
-    memory = DiagnosisState(n=index, index=index, changes=(change,) * len(RATES))
     return {
         "cause": cause.cause,
         "cause_probability": cause.probability,
@@ -157,7 +155,7 @@ def _chart_and_diagnosis_columns(index: int, drawn: list[float]) -> dict[str, An
         "chart_alarm": False,
         "limits": {name: 24.3 + abs(drawn[2]) for name in LIMITS},
         "statistics": {limit.of: abs(drawn[3]) for limit in LIMITS.values()},
-        "averages": {AVERAGE: drawn, CHART: drawn, **averages_of(memory)},
+        "averages": {AVERAGE: drawn, CHART: drawn},
     }
 
 
@@ -237,11 +235,7 @@ def _add_set(
             limit_paper=12.1,
             outlier=None if due.set_index < 48 else False,
             contributions={"tof_pp_s": 1.0, "tof_ac_s": 1.0, "amplitude_ratio": 1.0},
-            **(
-                {}
-                if due.set_index < 48
-                else _chart_and_diagnosis_columns(due.set_index, values[number].tolist())
-            ),
+            **({} if due.set_index < 48 else _chart_and_diagnosis_columns(values[number].tolist())),
         )
         commit.assessments.append(assessment)
         _add_event(commit, due, "verdicts", "set_judged", assessment)

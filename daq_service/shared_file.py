@@ -23,6 +23,8 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
 
+from daq_service.errors import StorageUnavailableError
+
 log = logging.getLogger(__name__)
 
 T = TypeVar("T")
@@ -156,6 +158,23 @@ def write_durably(
             remove_quietly(path)
         raise
     return written - start, synced - written, time.perf_counter() - synced
+
+
+def write_output(path: Path, content: bytes | Iterator[bytes]) -> None:
+    """Write a file that a person asked for, complete or not at all.
+
+    Raises
+    ------
+    StorageUnavailableError
+        The disk refuses.
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_durably(path, content, temporary=path.with_name(f".{path.name}.part"))
+    except OSError as error:
+        raise StorageUnavailableError(
+            f"{path} cannot be written: {error.strerror or error}; free or repair the disk"
+        ) from error
 
 
 def sync_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> None:

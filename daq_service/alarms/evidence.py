@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from types import MappingProxyType
+from typing import Any
 
 from daq_service.catalogue.rows import AlarmRow, BaselineRow
 from daq_service.clock import format_utc
 
-Proof = Mapping[str, object]
+Proof = Mapping[str, Any]
 
 FEATURES: Mapping[str, str] = {
     "tof_pp_s": "time of flight between the peaks",
@@ -56,7 +57,7 @@ def evidence(kind: str, proof: Proof) -> list[str]:
     return list(_OF_KIND.get(kind, _supply)(proof))
 
 
-def baseline_doubts(readiness: Mapping[str, object] | None) -> list[str]:
+def baseline_doubts(readiness: Mapping[str, Any] | None) -> list[str]:
     """Describe the anomalies of a baseline (`assessment.baseline_quality`)."""
     return [
         {
@@ -249,7 +250,7 @@ _OF_KIND: Mapping[str, Callable[[Proof], Iterator[str]]] = {
 """Functions by kind of alarm; all other kinds have the evidence of the supply, or none."""
 
 
-def _values(proof: Proof, *names: str) -> list[object]:
+def _values(proof: Proof, *names: str) -> list[Any]:
     """Return the values of these keys; an empty list if one is missing."""
     values = [proof.get(name) for name in names]
     return [] if None in values else values

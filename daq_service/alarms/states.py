@@ -39,7 +39,7 @@ SUPPRESSION = (
     *("shelved_until_utc_ns", "shelved_until_wall_utc_ns"),
 )
 """Columns of an alarm about its suppression."""
-NOT_SUPPRESSED: Mapping[str, object] = MappingProxyType(dict.fromkeys(SUPPRESSION))
+NOT_SUPPRESSED: Mapping[str, Any] = MappingProxyType(dict.fromkeys(SUPPRESSION))
 LONGEST_SHELF_H = 72.0
 """Maximum time of a shelf: a weekend."""
 RETIRING = ("hole", "retired")
@@ -307,13 +307,13 @@ def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
     )
 
 
-def _updated_columns(row: AlarmRow, condition: Condition) -> dict[str, object]:
+def _updated_columns(row: AlarmRow, condition: Condition) -> dict[str, Any]:
     """Return severity, message and evidence of an existing alarm, updated with its condition."""
     severity = max(row.severity, condition.severity, key=SEVERITIES.index)
     return {"severity": severity, "message": condition.message, "proof": _evidence_of(condition)}
 
 
-def _evidence_of(condition: Condition) -> dict[str, object]:
+def _evidence_of(condition: Condition) -> dict[str, Any]:
     return dict(condition.proof) | ({"known": condition.known} if condition.known else {})
 
 

@@ -118,7 +118,7 @@ def _version(record: SetRecord) -> str:
 
 def _group_records(records: Sequence[Record]) -> list[_RecordGroup]:
     """Group records that share position, kind, sampling and calibration."""
-    by_key: dict[tuple[object, ...], list[Record]] = {}
+    by_key: dict[tuple[Any, ...], list[Record]] = {}
     for record in records:
         waveform = record.waveform
         calibration = waveform.calibration
@@ -388,7 +388,7 @@ def _add_results(entry: Node, record: SetRecord) -> None:
                 field.attributes["units"] = unit_of(name)
 
 
-def _column(values: list[float | str]) -> object:
+def _column(values: list[float | str]) -> Any:
     """Return a column as texts or as an array of numbers."""
     return values if isinstance(values[0], str) else np.array(values)
 

@@ -286,7 +286,7 @@ def _text_type(n_bytes: int) -> h5t.TypeID:
 
 
 @cache
-def _number_type(dtype: np.dtype[object]) -> h5t.TypeID:
+def _number_type(dtype: np.dtype[Any]) -> h5t.TypeID:
     """Return the HDF5 type of a NumPy type."""
     return h5t.py_create(dtype)
 

@@ -39,6 +39,7 @@ from daq_service.archive.records import (
     PositionRecord,
     SetRecord,
     SetReference,
+    SetTables,
     ordered,
     referenced_sets,
     waveform_crc32,
@@ -61,7 +62,7 @@ _READABLE_FORMAT = "1."
 
 _PLANNED = ("method", "n_planned", "cause", "label", "serial_number")
 
-_Columns = Mapping[str, list[object]]
+_Columns = Mapping[str, list[Any]]
 
 
 class FolderSetReader:
@@ -120,6 +121,25 @@ class FolderSetReader:
             damages = [damage for damage in journaled.damages() if damage.sequence == sequence]
             raise _corruption_error(path, damages)
         return record_of(journaled.shots[sequence]).waveform
+
+    def read_tables(self, reference: SetReference, sha256: str) -> SetTables | None:
+        """Read the tables of a set's file without its waveforms; None unless it has this SHA-256."""
+        try:
+            content = read_stored(self.folder / reference)
+        except OSError:
+            return None  # a reader of the complete set names the reason
+        if hashlib.sha256(content).hexdigest() != sha256:
+            return None
+        with opened_set(self.folder / reference, content) as entry:
+            return SetTables(
+                set_index=int(read_field(entry.id, "set_index")),
+                shots=_rows_of(_read_table(entry)),
+                results={
+                    name: _rows_of(_read_columns(entry[name], *entry[name]))
+                    for name in RESULTS
+                    if name in entry
+                },
+            )
 
     def digest(self, reference: SetReference) -> str | None:
         """Compute the SHA-256 of a set's file; None if it has no file yet."""
@@ -331,7 +351,7 @@ class RecordGroup:
         crc32_read = waveform_crc32(waveform)
         return waveform if crc32_read == crc32 else f"CRC-32 is {crc32_read:08x}, stored as {crc32:08x}"
 
-    def echo_settings(self, row: int) -> dict[str, object]:
+    def echo_settings(self, row: int) -> dict[str, Any]:
         """Return the receiver settings of a pulse-echo record."""
         return {
             "gain_db": float(self.data["gain"][row]),
@@ -369,7 +389,7 @@ def _read_records(
             if isinstance(waveform, str):
                 reasons[sequence] = waveform
                 continue
-            common: dict[str, object] = {
+            common: dict[str, Any] = {
                 "sequence": sequence,
                 "key": _key(table, row_of[sequence], set_index),
                 "stamp": _stamp(table, row_of[sequence]),
@@ -395,6 +415,11 @@ def _read_columns(table: h5py.Group, *names: str) -> _Columns:
         name: [_text(value) if isinstance(value, bytes) else value for value in values]
         for name, values in columns.items()
     }
+
+
+def _rows_of(columns: _Columns) -> list[dict[str, Any]]:
+    """Return the rows of a table by the names of its columns."""
+    return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
 def _read_table(entry: h5py.Group) -> _Columns:
@@ -442,7 +467,7 @@ def _damage_of_row(table: _Columns, row: int, reason: str) -> Damage:
     )
 
 
-def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, object]]:
+def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
     """Read the truth or settings of each record by sequence."""
     facts: dict[int, dict[str, Any]] = {}
     for group_name in entry:

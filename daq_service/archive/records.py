@@ -116,7 +116,7 @@ class SetRecord:
 
     def __post_init__(self) -> None:
         for name in ("positions", "shots", "echoes", "missed"):
-            object.__setattr__(self, name, tuple(getattr(self, name)))
+            Any.__setattr__(self, name, tuple(getattr(self, name)))
         records = self.records
         if not records:
             raise ValueError(f"set {self.set_index} has no record; a set without one has rows but no file")
@@ -136,6 +136,15 @@ class SetRecord:
     def records(self) -> list[Shot | PulseEchoRecord]:
         """Shots and pulse-echo records in the order of acquisition."""
         return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SetTables:
+    """Tables of a set's file, each as rows: of its records (``shots``), and the results of each kind."""
+
+    set_index: int
+    shots: Sequence[Mapping[str, Any]]
+    results: Mapping[str, Sequence[Mapping[str, Any]]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

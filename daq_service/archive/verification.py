@@ -125,11 +125,11 @@ def _contradictions(content: bytes, rebuilt: bytes | None) -> list[str]:
     ]
 
 
-def _values(file: h5py.File) -> dict[str, object]:
+def _values(file: h5py.File) -> dict[str, Any]:
     """Return every array and attribute by its path, without the format version."""
     values: dict[str, Any] = {}
 
-    def add(name: str, item: object) -> None:
+    def add(name: str, item: Any) -> None:
         # The REFERENCE_LIST of an axis repeats the DIMENSION_LIST of the arrays that it belongs to.
         attributes = {key: value for key, value in item.attrs.items() if key != "REFERENCE_LIST"}
         values.update({f"{name}@{key}": _comparable(file, value) for key, value in attributes.items()})
@@ -152,9 +152,7 @@ def _comparable(file: h5py.File, value: object) -> object:
     return value if isinstance(value, str) else np.asarray(value)
 
 
-def _agree(
-    name: str, stored: Mapping[str, object], expected: Mapping[str, object], *, same_format: bool
-) -> bool:
+def _agree(name: str, stored: Mapping[str, Any], expected: Mapping[str, Any], *, same_format: bool) -> bool:
     """Return whether a stored and an expected value agree."""
     if not same_format and "@" in name and (name not in expected or str(stored.get(name)) == ""):
         return True  # a label that is not written any more, or was left empty

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
-from daq_service.catalogue.rows import AssessmentRow, BaselineRow, FeatureRow, ThicknessRow
+from daq_service.catalogue.rows import AssessmentRow, BaselineRow, FeatureRow, SetRow, ThicknessRow
 
 if TYPE_CHECKING:
     from analysis.waves.features import ShotFeatures
+    from hardware_drivers.measurement import Waveform
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -45,8 +46,42 @@ class PositionResult:
     suspicion: str = ""
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class StoredResult:
+    """Stored rows of a set at a position.
+
+    Attributes
+    ----------
+    result
+        Features or thickness of the set; None if it has none.
+    flags
+        Flags of each accepted shot, as far as they are known.
+    waveform
+        Reads the record of the first shot.
+    """
+
+    its_set: SetRow
+    result: FeatureRow | ThicknessRow | None
+    flags: Sequence[Sequence[str]]
+    waveform: Callable[[], Waveform]
+
+
 class Assessor(Protocol):
-    """Assessor of one position, set after set."""
+    """Assessor of one position, set after set.
+
+    Attributes
+    ----------
+    state
+        State after the last set: a frozen dataclass, replaced by each set that changes it.
+    """
+
+    position: str
+    state: Any
+
+    @property
+    def baseline_id(self) -> int | None:
+        """Return the id of the baseline that the state belongs to; None without a baseline."""
+        ...
 
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
@@ -67,6 +102,10 @@ class Assessor(Protocol):
 
     def assess_empty_set(self, due: DueSet, n_tried: int) -> PositionResult:
         """Assess a set without any record; ``n_tried`` shots were tried, repetitions not counted."""
+        ...
+
+    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
+        """Update the state with a set by its rows; return the assessments of a baseline that it completes."""
         ...
 
     def reinstate(self) -> None:

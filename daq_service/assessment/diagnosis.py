@@ -1,4 +1,4 @@
-"""Diagnosis of a change for the recorder: stored state of `analysis.diagnosis`, and texts for operators."""
+"""Diagnosis of a change for the recorder: the origin of an alarm, and texts for operators."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from analysis.diagnosis.diagnose import UNDETERMINED, Diagnosis, diagnosis_of, s
 from analysis.diagnosis.hypotheses import CAUSES, COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, logs_of
 from analysis.diagnosis.slopes import COMPONENTS
-from analysis.diagnosis.state import RATES, DiagnosisState, with_confirmation, with_set
+from analysis.diagnosis.state import DiagnosisState, with_confirmation, with_set
 from analysis.errors import SingularCovarianceError
 from analysis.statistics.rules import MINIMUM_SETS
 
@@ -88,58 +88,6 @@ def next_origin(before: Origin, cause: str, *, was_active: bool, n: int) -> Orig
     if not was_active or cause in ASKED_TWICE or n_contrary >= n:
         return Origin(not_wall=not_wall)
     return replace(before, n_contrary=n_contrary)
-
-
-def averages_of(memory: DiagnosisState) -> dict[str, list[float]]:
-    """Return the diagnosis state as named averages, as stored with those of the charts."""
-    changes = {name: list(change) for name, change in zip(_NAMES, memory.changes, strict=True)}
-    index = -1 if memory.index is None else memory.index
-    averages = {
-        _COUNT: [float(memory.n), float(memory.wall), float(memory.likely)],
-        **changes,
-        _PLACE: [float(number) for number in (index, memory.gap, memory.gap_ago, memory.confirmation_ago)],
-    }
-    if memory.confirmation:
-        averages[_CONFIRMATION] = list(memory.confirmation)
-    return averages | ({_MOVED: list(memory.moved)} if memory.moved else {})
-
-
-_COUNT, _PLACE, _CONFIRMATION, _MOVED = "changes_count", "changes_place", "changes_beside", "changes_moved"
-_ORIGIN = "origin"
-_NAMES = tuple(f"changes_{rate:g}" for rate in RATES)
-
-
-def restored_diagnosis_state(averages: Mapping[str, Sequence[float]]) -> DiagnosisState | None:
-    """Restore the state from the result of `averages_of`; None if an earlier version stored none."""
-    if _COUNT not in averages:
-        return None
-    n, wall, *likely = averages[_COUNT]  # an earlier version kept two
-    index, gap, gap_ago, confirmation_ago = (int(number) for number in averages.get(_PLACE, (-1, 0, 0, 0)))
-    return DiagnosisState(
-        n=int(n),
-        wall=bool(wall),
-        likely=likely == [1.0],
-        changes=tuple(tuple(averages[name]) for name in _NAMES),
-        index=None if index < 0 else index,
-        gap=gap,
-        gap_ago=gap_ago,
-        confirmation=tuple(averages.get(_CONFIRMATION, ())),
-        confirmation_ago=confirmation_ago,
-        moved=tuple(averages.get(_MOVED, ())),
-    )
-
-
-def origin_values(origin: Origin) -> dict[str, list[float]]:
-    """Return the origin as named values, as stored with the averages."""
-    return {_ORIGIN: [float(origin.not_wall), float(origin.n_contrary)]}
-
-
-def origin_of(averages: Mapping[str, Sequence[float]], cause: str) -> Origin:
-    """Restore the origin from the result of `origin_values`; earlier versions used the last diagnosis."""
-    if _ORIGIN not in averages:
-        return Origin(not_wall=cause in NOT_THE_WALL)
-    not_wall, n_contrary = averages[_ORIGIN]
-    return Origin(not_wall=bool(not_wall), n_contrary=int(n_contrary))
 
 
 def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> DiagnosisParameters | None:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import math
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 from analysis.errors import AnalysisError
 from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
@@ -22,49 +23,87 @@ from analysis.ultrasound.thickness import (
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition
-from daq_service.archive import SetRecord
-from daq_service.assessment.assessor import PositionResult
-from daq_service.catalogue.rows import ThicknessRow
+from daq_service.archive import ArchiveError, CorruptArchiveError, SetNotFoundError, SetRecord
+from daq_service.assessment.assessor import PositionResult, StoredResult
+from daq_service.catalogue.rows import AssessmentRow, ThicknessRow
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Waveform
+
+log = logging.getLogger(__name__)
 
 FORMULA = "th = th0 - (UT0 - UT) / (UT0 - D) th0, equation 17"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PulseEchoState:
+    """State of a probe after a set; ``reference`` is None before the first record with an echo."""
+
+    alarm: AlarmState = field(default_factory=AlarmState)
+    reference: EchoReference | None = None
+
+
 class PulseEchoAssessor:
-    """Assessor of one ultrasonic probe; the first record with an echo is its reference."""
+    """Assessor of one ultrasonic probe; the first record with an echo is its reference.
+
+    Attributes
+    ----------
+    lost
+        First reading, whose record is lost, with the error; None if it is not lost.
+    """
+
+    baseline_id = None
 
     def __init__(self, position: str, settings: Settings) -> None:
         self.position = position
         self._settings = settings
         self._rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
-        self._alarm = AlarmState()
-        self._reference: EchoReference | None = None
+        self.state = PulseEchoState()
+        self.lost: tuple[ThicknessRow, ArchiveError] | None = None
 
-    def set_reference(self, waveform: Waveform) -> None:
-        """Set the reference to the first good record of the test."""
-        self._reference = self._take_reference(waveform, self._settings.ultrasound.initial_thickness_m)
+    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
+        """Update the state with a stored reading; only a reference is taken from its record."""
+        reading = stored.result
+        if not isinstance(reading, ThicknessRow):
+            return ()
+        if self.state.reference is None:
+            self._follow_reference(stored, reading)
+        self._add(reading)
+        return ()
 
-    def set_later_reference(self, waveform: Waveform, *, reading: ThicknessRow, first: ThicknessRow) -> None:
-        """Set the reference to a later record, because that of the first reading is lost.
+    def _follow_reference(self, stored: StoredResult, reading: ThicknessRow) -> None:
+        """Take the reference from a stored record; if the first one is lost, from the next good reading."""
+        if self.lost is not None and (reading.quality != "good" or reading.thickness_m is None):
+            return
+        try:
+            waveform = stored.waveform()
+            if self.lost is None:
+                self._set_reference(self._echo_of(waveform, self._settings.ultrasound.initial_thickness_m))
+                return
+            first, error = self.lost
+            assert reading.travel_time_s is not None
+            assert reading.thickness_m is not None
+            assert first.travel_time_s is not None
+            substitute = substitute_reference(
+                self._echo_of(waveform, reading.thickness_m),
+                travel_time_s=reading.travel_time_s,
+                reference_travel_time_s=first.travel_time_s,
+            )
+        except AnalysisError:  # it has no echo
+            return
+        except (CorruptArchiveError, SetNotFoundError) as unreadable:
+            if self.lost is None and reading.travel_time_s is not None:
+                self.lost = reading, unreadable
+            return
+        log.warning("set %d stands in for the reference of %s: %s", reading.set_index, self.position, error)
+        self._set_reference(substitute)
 
-        Raises
-        ------
-        EchoNotFoundError
-            No back-wall echo is found.
-        """
-        assert reading.travel_time_s is not None
-        assert reading.thickness_m is not None
-        assert first.travel_time_s is not None
-        self._reference = substitute_reference(
-            self._take_reference(waveform, reading.thickness_m),
-            travel_time_s=reading.travel_time_s,
-            reference_travel_time_s=first.travel_time_s,
-        )
+    def _set_reference(self, reference: EchoReference) -> None:
+        self.state = replace(self.state, reference=reference)
 
-    def feed(self, row: ThicknessRow) -> None:
-        """Update the alarm state with a reading, new or stored."""
-        self._alarm = next_alarm_state(self._alarm, self.too_thin(row), self._rule)
+    def _add(self, row: ThicknessRow) -> None:
+        """Update the alarm state with a reading."""
+        alarm = next_alarm_state(self.state.alarm, self.too_thin(row), self._rule)
+        self.state = replace(self.state, alarm=alarm)
 
     def reinstate(self) -> None:
         """Do nothing, because a probe is never retired."""
@@ -107,18 +146,19 @@ class PulseEchoAssessor:
         reason = ""
         interval: ThicknessInterval | None = None
         try:
-            if self._reference is None:
-                self.set_reference(echo.waveform)
-                assert self._reference is not None
-            travel = travel_time(echo.waveform, self._reference)
+            reference = self.state.reference
+            if reference is None:
+                reference = self._echo_of(echo.waveform, settings.initial_thickness_m)
+                self._set_reference(reference)
+            travel = travel_time(echo.waveform, reference)
             wall = thickness(
                 travel.travel_time_s,
-                self._reference.travel_time_s,
+                reference.travel_time_s,
                 settings.delay_s,
                 settings.initial_thickness_m,
                 settings.element_separation_m,
             )
-            interval = self._interval(travel, self._reference)
+            interval = self._interval(travel, reference)
         except AnalysisError as error:
             reason = str(error)
         else:
@@ -136,7 +176,7 @@ class PulseEchoAssessor:
             # Both half-waves of the carrier are clipped alike: the time is right, the amplitude is not.
             row = replace(row, quality="suspect")
             reason = "the record is clipped: lower the gain or take a larger range"
-        self.feed(row)
+        self._add(row)
         usable = row.quality != "bad"
         return PositionResult(
             thickness=[row],
@@ -155,11 +195,10 @@ class PulseEchoAssessor:
         AnalysisError
             The record has no back-wall echo.
         """
-        if self._reference is None:
+        reference = self.state.reference
+        if reference is None:
             return None
-        low_m, high_m = _interval_limits(
-            self._interval(travel_time(waveform, self._reference), self._reference)
-        )
+        low_m, high_m = _interval_limits(self._interval(travel_time(waveform, reference), reference))
         return (low_m, high_m) if math.isfinite(low_m + high_m) else None
 
     def _interval(self, travel: TravelTime, reference: EchoReference) -> ThicknessInterval:
@@ -168,7 +207,7 @@ class PulseEchoAssessor:
             travel, reference, settings.initial_thickness_m, settings.element_separation_m
         )
 
-    def _take_reference(self, waveform: Waveform, thickness_m: float) -> EchoReference:
+    def _echo_of(self, waveform: Waveform, thickness_m: float) -> EchoReference:
         settings = self._settings.ultrasound
         return reference_echo(
             waveform,
@@ -192,16 +231,17 @@ class PulseEchoAssessor:
         fraction = self._settings.alarms.thickness_loss_fraction
         initial_m = self._settings.ultrasound.initial_thickness_m
         remaining_m, loss_m = row.thickness_m, row.thickness_loss_m
+        alarm, reference = self.state.alarm, self.state.reference
         reading_text = "" if remaining_m is None else f" (now {remaining_m * 1e3:.2f} mm)"
         return Condition(
             position=self.position,
             kind="thickness",
             family="damage",
             severity="high",
-            present=self._alarm.active,
+            present=alarm.active,
             times_limit=None if loss_m is None or self.too_thin(row) is None else loss_m / self._limit_loss_m,
             message=(
-                f"{sum(self._alarm.recent)} of the last {len(self._alarm.recent)} readings at "
+                f"{sum(alarm.recent)} of the last {len(alarm.recent)} readings at "
                 f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm"
                 f"{reading_text}: inspect the wall"
             ),
@@ -214,7 +254,7 @@ class PulseEchoAssessor:
                 "roughness_rms_m": None if interval is None else _finite_or_none(interval.roughness_rms_m),
                 "limit_m": self._settings.thinnest_m,
                 "travel_time_s": row.travel_time_s,
-                "reference_travel_time_s": None if self._reference is None else self._reference.travel_time_s,
+                "reference_travel_time_s": None if reference is None else reference.travel_time_s,
                 "delay_s": self._settings.ultrasound.delay_s,
                 "extractor_version": EXTRACTOR_VERSION,
             },

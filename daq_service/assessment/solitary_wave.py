@@ -5,14 +5,16 @@ Rules and state are in `solitary_wave_step`. Nothing here reads a clock or a fil
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
 
-from analysis.statistics.design import ChartState
+from analysis.diagnosis.diagnose import Diagnosis
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
-from analysis.statistics.named_limits import AVERAGE, CHART, DISTANCE
+from analysis.statistics.named_limits import CHART, DISTANCE
 from analysis.waves.features import (
+    ALL_FEATURE_NAMES,
     EXTRACTOR_VERSION,
     FEATURE_NAMES,
     SetFeatures,
@@ -26,17 +28,13 @@ from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import n_tried
 from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
-from daq_service.assessment.assessor import PositionResult
+from daq_service.assessment.assessor import PositionResult, StoredResult
 from daq_service.assessment.baseline_lifecycle import AUTOMATIC, BaselineRange
 from daq_service.assessment.baseline_quality import readiness_of
 from daq_service.assessment.confirmation import confirms_change, request_reason
 from daq_service.assessment.diagnosis import (
-    averages_of,
     diagnose_confirmation,
     diagnosis_details,
-    origin_of,
-    origin_values,
-    restored_diagnosis_state,
 )
 from daq_service.assessment.rules import rules_of
 from daq_service.assessment.signal_change import wall_conditions
@@ -82,23 +80,36 @@ class SolitaryWaveAssessor:
         self._of_set = settings.features.of_set
         self._baseline_id = baseline.row_id
         self._rehearsal = rehearsal
-        self._state = State()
+        self.state = State()
 
-    def feed(self, set_of_shots: SetOfShots, assessment: AssessmentRow | None) -> None:
-        """Update the state with a stored set and its assessment from the catalogue."""
-        self._state, _ = step(
-            self._state, set_of_shots, self._rules, _restored_assessment(set_of_shots, assessment)
+    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
+        """Update the state with a set by its rows; return the assessments of a baseline that it completes."""
+        row, result, before = stored.its_set, stored.result, self.state
+        set_of_shots = SetOfShots(
+            set_index=row.set_index,
+            due_h=row.due_h,
+            n_taken=row.n_taken,
+            n_tried=row.n_taken + row.n_missed - row.n_restrikes,
+            n_valid=row.n_valid,
+            quality="bad" if result is None else result.quality,
+            reason="",
+            values={} if result is None else {name: getattr(result, name) for name in ALL_FEATURE_NAMES},
+            flags=stored.flags,
         )
+        if row.purpose is not None:
+            self._diagnose_unscheduled(set_of_shots)
+            return ()
+        self.state, _ = step(before, set_of_shots, self._rules)
+        return self._baseline_assessments() if _freezes(before, self.state) else ()
 
-    def feed_unscheduled(self, after_set: int, assessment: AssessmentRow) -> None:
-        """Restore the diagnosis state after an unscheduled set, if no scheduled set came later."""
-        stored, last = restored_diagnosis_state(assessment.averages or {}), self._state.diagnosis_state.index
-        if stored is not None and after_set >= (self._rules.last_baseline_set if last is None else last):
-            self._state = replace(self._state, diagnosis_state=stored)
+    @property
+    def baseline_id(self) -> int:
+        """Return the id of the baseline that the state belongs to."""
+        return self._baseline_id
 
     def reinstate(self) -> None:
         """Clear the faults that retired the transducer, because a person has reinstated it."""
-        self._state = reinstated(self._state)
+        self.state = reinstated(self.state)
 
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]
@@ -139,26 +150,26 @@ class SolitaryWaveAssessor:
             Shots that were struck, with or without a record; None: those that have one.
         """
         features, counting, mean = self._combine_shots(shots, features, outcomes or {})
-        state_before = self._state
+        state_before = self.state
         tried = len({shot.key.shot_index for shot in shots}) if n_tried is None else n_tried
         set_of_shots = self._set_of_shots(due, len(shots), tried, counting, mean)
-        self._state, assessment = step(state_before, set_of_shots, self._rules)
+        self.state, assessment = step(state_before, set_of_shots, self._rules)
         if assessment is None:
             return PositionResult(conditions=self._device_conditions(due, mean), note=mean.reason)
-        freezes = state_before.baseline is None and self._state.baseline is not None
+        freezes = _freezes(state_before, self.state)
         assessments = self._baseline_assessments() if freezes else []
         if not any(row.set_index == due.set_index for row in assessments):
             assessments.append(self._assessment_row(due.set_index, due.due_h, assessment))
         # Shots without a reflected wave are a finding about the wall, not about the transducer.
-        conditions = [] if self._state.hole.sets_running else self._device_conditions(due, mean)
-        conditions += wall_conditions(self.position, self._state, self._rules, assessments[-1])
+        conditions = [] if self.state.hole.sets_running else self._device_conditions(due, mean)
+        conditions += wall_conditions(self.position, self.state, self._rules, assessments[-1])
         conditions += [self._hole_condition(due, counting), self._not_assessed_condition(due)]
         return replace(
             self._result_of_shots(due, shots, features, mean),
             baseline=self._baseline_row() if freezes else None,
             assessments=assessments,
             conditions=conditions,
-            suspicion=request_reason(state_before, self._state, assessment, self._rules),
+            suspicion=request_reason(state_before, self.state, assessment, self._rules),
         )
 
     def assess_unscheduled(
@@ -170,27 +181,32 @@ class SolitaryWaveAssessor:
             shots, [features[shot.sequence] for shot in shots], record.outcomes
         )
         result = self._result_of_shots(due, shots, checked, mean)
-        if self._state.baseline is None:
+        if self.state.baseline is None:
             return result
         set_of_shots = self._set_of_shots(due, len(shots), n_tried(record, self.position), counting, mean)
-        assessment = assess_alone(set_of_shots, self._state.baseline, self._rules)
-        parameters = self._state.baseline.causes
-        vector, fitted = set_of_shots.vector(), self._state.baseline.fitted
-        if parameters is not None and vector is not None:
-            diagnosis_state, diagnosis = diagnose_confirmation(
-                self._state.diagnosis_state, parameters, set_of_shots.values
-            )
-            self._state = replace(self._state, diagnosis_state=diagnosis_state)
-            assessment = replace(assessment, cause=diagnosis, diagnosis_state=diagnosis_state)
+        assessment = assess_alone(set_of_shots, self.state.baseline, self._rules)
+        vector, fitted = set_of_shots.vector(), self.state.baseline.fitted
+        assessment = replace(assessment, cause=self._diagnose_unscheduled(set_of_shots))
         row = self._assessment_row(due.set_index, due.due_h, assessment)
         if vector is not None and fitted is not None:
-            row = replace(row, confirms=confirms_change(self._state.assessed, fitted, vector))
+            row = replace(row, confirms=confirms_change(self.state.assessed, fitted, vector))
         return replace(result, assessments=[row])
+
+    def _diagnose_unscheduled(self, set_of_shots: SetOfShots) -> Diagnosis | None:
+        """Diagnose an unscheduled set; the diagnosis state keeps it."""
+        parameters = None if self.state.baseline is None else self.state.baseline.causes
+        if parameters is None or set_of_shots.vector() is None:
+            return None
+        diagnosis_state, diagnosis = diagnose_confirmation(
+            self.state.diagnosis_state, parameters, set_of_shots.values
+        )
+        self.state = replace(self.state, diagnosis_state=diagnosis_state)
+        return diagnosis
 
     @property
     def not_assessed_reason(self) -> str:
         """Return why a set cannot be compared with a baseline; empty if it can."""
-        baseline = self._state.baseline
+        baseline = self.state.baseline
         return (
             "it has no baseline yet; wait until it is recorded" if baseline is None else baseline.reason or ""
         )
@@ -199,7 +215,7 @@ class SolitaryWaveAssessor:
         self, shots: Sequence[Shot], features: Sequence[ShotFeatures], outcomes: Mapping[int, str]
     ) -> tuple[list[ShotFeatures], list[ShotFeatures], SetFeatures]:
         """Return the features of all shots, of the accepted shots, and of the set."""
-        baseline = self._state.baseline
+        baseline = self.state.baseline
         if baseline is not None and baseline.fitted is not None:
             usual_ratio = float(baseline.fitted.mean[FEATURE_NAMES.index("amplitude_ratio")])
             features = flag_residual_reflections(features, usual_ratio)
@@ -224,7 +240,7 @@ class SolitaryWaveAssessor:
             n_valid=mean.n_valid,
             quality=mean.quality,
             reason=mean.reason,
-            values=mean.mean,
+            values={name: value if math.isfinite(value) else None for name, value in mean.mean.items()},
             flags=[features.flags for features in counting],
         )
 
@@ -273,7 +289,7 @@ class SolitaryWaveAssessor:
 
     def _baseline_row(self) -> BaselineRow:
         """Return the row of the baseline that was just frozen."""
-        state, rules = self._state, self._rules
+        state, rules = self.state, self._rules
         assert state.baseline is not None, "just closed"
         fitted = state.baseline.fitted
         indices = [healthy_set.set_index for healthy_set in state.healthy]
@@ -308,7 +324,7 @@ class SolitaryWaveAssessor:
 
     def _baseline_assessments(self) -> list[AssessmentRow]:
         """Return the assessment rows of the baseline's sets with their distances."""
-        state = self._state
+        state = self.state
         assert state.baseline is not None, "just closed"
         fitted = state.baseline.fitted
         distances = [None] * len(state.healthy) if fitted is None else fitted.distances_squared.tolist()
@@ -322,7 +338,7 @@ class SolitaryWaveAssessor:
         ]
 
     def _assessment_row(self, set_index: int, due_h: float, assessment: SetAssessment) -> AssessmentRow:
-        baseline = self._state.baseline
+        baseline = self.state.baseline
         limits = {} if baseline is None else baseline.limits
         other_statistics = {
             name: value for name, value in assessment.statistics.items() if name not in (DISTANCE, CHART)
@@ -345,7 +361,9 @@ class SolitaryWaveAssessor:
             chart_alarm=None if assessment.memory is None else assessment.memory.alarming,
             statistics=other_statistics or None,
             limits=dict(limits) or None,
-            averages=_averages(assessment),
+            averages=None
+            if assessment.memory is None
+            else {name: list(average) for name, average in assessment.memory.averages.items()},
             cause=None if assessment.cause is None else assessment.cause.cause,
             cause_probability=None if assessment.cause is None else assessment.cause.probability,
             cause_told=None if assessment.cause is None else diagnosis_details(assessment.cause),
@@ -355,7 +373,7 @@ class SolitaryWaveAssessor:
 
     def _device_conditions(self, due: DueSet, mean: SetFeatures) -> list[Condition]:
         """Return the conditions of too few valid shots: first an alarm, later the transducer is retired."""
-        quality, poor = self._quality, self._state.poor_sets
+        quality, poor = self._quality, self.state.poor_sets
         finding = f"{poor} sets running with too few valid shots at {self.position} (last: {mean.reason})"
         action = "check coil, striker, sensor and cable"
         proof = {
@@ -384,7 +402,7 @@ class SolitaryWaveAssessor:
         ]
 
     def _not_assessed_condition(self, due: DueSet) -> Condition:
-        baseline = self._state.baseline
+        baseline = self.state.baseline
         return Condition(
             position=self.position,
             kind="not_judged",
@@ -402,7 +420,7 @@ class SolitaryWaveAssessor:
             kind="hole",
             family="damage",
             severity="critical",
-            present=self._state.hole.hole,
+            present=self.state.hole.hole,
             latched=True,
             message=(
                 f"no reflected wave at {self.position} in {n_without_psw} of {len(features)} shots, "
@@ -418,36 +436,8 @@ class SolitaryWaveAssessor:
         )
 
 
-def _restored_assessment(set_of_shots: SetOfShots, row: AssessmentRow | None) -> SetAssessment | None:
-    """Restore a stored assessment; None if the set belongs to the baseline or was not assessed."""
-    if row is None or row.in_baseline:
-        return None
-    vector, memory, diagnosis_state = set_of_shots.vector(), None, None
-    if vector is not None and row.averages is not None:
-        memory = ChartState(
-            index=set_of_shots.set_index,
-            vector=vector,
-            averages={name: tuple(row.averages[name]) for name in (AVERAGE, CHART)},
-            alarming=bool(row.chart_alarm),
-        )
-        diagnosis_state = restored_diagnosis_state(row.averages)
-    origin = None if row.cause is None else origin_of(row.averages or {}, row.cause)
-    return SetAssessment(
-        outlier=row.outlier,
-        outlier_paper=row.outlier_paper,
-        reason=row.reason,
-        memory=memory,
-        diagnosis_state=diagnosis_state,
-        origin=origin,
-    )
-
-
-def _averages(assessment: SetAssessment) -> dict[str, list[float]] | None:
-    """Return the state of control charts and diagnosis as named averages."""
-    chart_averages = {} if assessment.memory is None else assessment.memory.averages
-    averages = {name: list(average) for name, average in chart_averages.items()}
-    averages |= {} if assessment.diagnosis_state is None else averages_of(assessment.diagnosis_state)
-    return averages | ({} if assessment.origin is None else origin_values(assessment.origin)) or None
+def _freezes(before: State, after: State) -> bool:
+    return before.baseline is None and after.baseline is not None
 
 
 def _feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> FeatureRow:

@@ -1,7 +1,7 @@
 """Assessment of one set after another at a transducer: pure functions of the state and a set.
 
-The recorder feeds each set after it is recorded; a restart feeds those of the catalogue again and reaches
-the same state. Rows and messages are in `solitary_wave`.
+The recorder stores the state with each set, and a restart continues from it (`stored_state`). The stored rows
+of all sets give the same state. Rows and messages are in `solitary_wave`.
 """
 
 from __future__ import annotations
@@ -210,17 +210,8 @@ def wall_alarm_active(state: State, rules: Rules) -> bool:
     return state.alarm.active
 
 
-def step(
-    state: State, set_of_shots: SetOfShots, rules: Rules, stored: SetAssessment | None = None
-) -> tuple[State, SetAssessment | None]:
-    """Update the state with one set and assess it; the assessment is None if the set has no record.
-
-    Parameters
-    ----------
-    stored
-        Its stored assessment, if it has one: a restart reads only the last sets, and these contain the state
-        of the sets before them.
-    """
+def step(state: State, set_of_shots: SetOfShots, rules: Rules) -> tuple[State, SetAssessment | None]:
+    """Update the state with one set and assess it; the assessment is None if the set has no record."""
     if set_of_shots.set_index < rules.first_baseline_set:
         return state, SetAssessment(
             reason="its baseline was retired before it was judged"
@@ -251,10 +242,9 @@ def step(
             else "the baseline is being recorded",
         )
     assert state.baseline is not None, "the first set after it freezes it"
-    assessment = stored or _assess(set_of_shots, state, state.baseline, rules)
+    assessment = _assess(set_of_shots, state, state.baseline, rules)
     alarm = next_alarm_state(state.alarm, assessment.outlier, rules.alarm)
-    if stored is None:
-        assessment = _with_diagnosis(assessment, set_of_shots, state, rules, suspicious=alarm.active)
+    assessment = _with_diagnosis(assessment, set_of_shots, state, rules, suspicious=alarm.active)
     vector = set_of_shots.vector()
     if assessment.outlier is not None and vector is not None:
         last = AssessedSet(vector=vector, outlier=assessment.outlier)
@@ -294,7 +284,7 @@ def reinstated(state: State) -> State:
 def _add_to_baseline(state: State, set_of_shots: SetOfShots) -> State:
     if set_of_shots.vector() is None:
         return replace(state, n_left_out=state.n_left_out + 1)
-    return replace(state, healthy=(*state.healthy, set_of_shots))
+    return replace(state, healthy=(*state.healthy, replace(set_of_shots, flags=(), reason="")))
 
 
 def _freeze_baseline(state: State, rules: Rules) -> State:

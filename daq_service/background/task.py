@@ -16,9 +16,12 @@ class BackgroundTask(Protocol):
         seconds
             Time until the next set is due.
         """
+        return
 
     def after_set(self, set_index: int) -> None:
         """Note that the rows of a set with records are stored."""
+        return
 
     def close(self) -> None:
         """End; the next recorder does the rest."""
+        return

@@ -17,6 +17,7 @@ import zlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import orjson
 
@@ -65,7 +66,7 @@ class History:
     last_number: int = 0
     damage: list[str] = field(default_factory=list)
 
-    def take(self, number: int, table: str, row: Mapping[str, object]) -> None:
+    def take(self, number: int, table: str, row: Mapping[str, Any]) -> None:
         """Add the contents of a line."""
         self.last_number = number
         match table:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from sqlalchemy import Connection, Engine, Table, select
 
@@ -79,7 +80,7 @@ def _other_versions(connection: Connection, settings: Settings) -> list[str]:
     ]
 
 
-def _newest(connection: Connection, table: Table) -> object:
+def _newest(connection: Connection, table: Table) -> Any:
     """Return the extractor version of the newest row."""
     return connection.execute(select(table.c.extractor_version).order_by(table.c.id.desc()).limit(1)).scalar()
 

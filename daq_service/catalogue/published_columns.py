@@ -92,7 +92,7 @@ def described_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
     return (*columns.values(), *ADDED_COLUMNS.get(kind, ()), *PARTS.get(kind, {}).values())
 
 
-def _form(of_type: object) -> Form:
+def _form(of_type: Any) -> Form:
     """Return the form of a column's type."""
     plain = next((kind for kind in get_args(of_type) if kind is not NoneType), of_type)
     if get_origin(of_type) is Literal or get_origin(plain) is Literal:

@@ -92,7 +92,7 @@ class Filters(TypedDict, total=False):
 
 _HOURS: Mapping[sa.Table, tuple[str, str]] = {annotated: ("from_h", "to_h"), alarms: ("raised_h", "raised_h")}
 """Columns of the first and last hour in tables without sets."""
-_CONDITIONS: Mapping[str, Callable[[sa.Table, object], sa.ColumnElement[bool]]] = {
+_CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "scope": lambda table, scope: (
         table.c.shot_index.is_(None) if scope == "set" else table.c.shot_index.is_not(None)
     ),
@@ -126,7 +126,7 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, object], sa.ColumnElement[bool]]] 
     ),
 }
 """A filter that is not listed compares a column; ``after_id`` uses `_behind`."""
-_HOURS_OF_UNSCHEDULED: Mapping[str, Callable[[sa.Table, object], sa.ColumnElement[bool]]] = {
+_HOURS_OF_UNSCHEDULED: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
     "first_h": lambda table, hour: table.c.due_h >= hour,
     "last_h": lambda table, hour: table.c.due_h <= hour,
 }

@@ -12,7 +12,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -190,7 +190,7 @@ def _joined(rollup: _Rollup, pieces: Pieces, width: int) -> Pieces:
     return blocks[starts] * width, rollup.joined(content, starts)
 
 
-def _in_range(rollup: _Rollup, place: _PositionRange, width: int, first: int, end: int) -> object:
+def _in_range(rollup: _Rollup, place: _PositionRange, width: int, first: int, end: int) -> Any:
     """Return the condition for the blocks of a range of sets."""
     return (trend_blocks.c.place >= _key(rollup, place, width, first)) & (
         trend_blocks.c.place < _key(rollup, place, width, end)
@@ -372,9 +372,7 @@ def _covering(
     ]
 
 
-def _range_of_hours(
-    connection: Connection, position: str, hours: tuple[float | None, float | None]
-) -> object:
+def _range_of_hours(connection: Connection, position: str, hours: tuple[float | None, float | None]) -> Any:
     """Return position and range of sets due between two hours, inclusive."""
     place = _position_range_of(connection, position)
     if place is None:

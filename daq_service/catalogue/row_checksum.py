@@ -22,7 +22,7 @@ from daq_service.catalogue.tables import KINDS, ROW_CRC32, table_of
 
 R = TypeVar("R", bound=Row)
 
-_AS_READ: Mapping[object, Callable[[object], object]] = {
+_AS_READ: Mapping[Any, Callable[[Any], Any]] = {
     # SQLite does not store negative zero, and returns an integer in a REAL column as a float.
     float: lambda value: float(value) + 0.0,
     int: int,
@@ -31,7 +31,7 @@ _AS_READ: Mapping[object, Callable[[object], object]] = {
 }
 
 
-def _reading_of(column: Column) -> Callable[[object], object] | None:
+def _reading_of(column: Column) -> Callable[[Any], Any] | None:
     """Return the conversion of a column's values before the checksum."""
     alternatives = get_args(column.type) if column.nullable else (column.type,)
     return next((_AS_READ[of_type] for of_type in alternatives if of_type in _AS_READ), None)
@@ -51,7 +51,7 @@ class DamagedRow(Exception):  # noqa: N818 - an error once the file is known (`c
     """A row does not match its checksum."""
 
 
-def plain(value: object) -> object:
+def plain(value: Any) -> Any:
     """Return a scalar as Python's own type; NaN and infinities become None."""
     if type(value) in _PLAIN:  # nearly every value
         return value
@@ -67,7 +67,7 @@ def row_crc32(row: Row) -> int:
     return int(storable(row)[ROW_CRC32])
 
 
-def storable(row: Row) -> dict[str, object]:
+def storable(row: Row) -> dict[str, Any]:
     """Return the stored form of a row with id and checksum: NaN and infinities are NULL."""
     stored = {name: plain(getattr(row, name)) for name in row.__slots__}
     columns = {}
@@ -95,12 +95,12 @@ def numbered(connection: Connection, rows: Sequence[R]) -> list[R]:
     return numbered_rows
 
 
-def _row_of(kind: type[R], stored: Sequence[object]) -> R:
+def _row_of(kind: type[R], stored: Sequence[Any]) -> R:
     """Return the dataclass of stored values."""
     return kind(**dict(zip(kind.__slots__, stored, strict=False)))  # the checksum is no part of it
 
 
-def _check_checksum(kind: type[Row], stored: Sequence[object]) -> None:
+def _check_checksum(kind: type[Row], stored: Sequence[Any]) -> None:
     """Raise DamagedRow if stored values do not match their checksum."""
     columns = {name: value for name, value in zip(kind.__slots__, stored, strict=False) if value is not None}
     try:
@@ -114,7 +114,7 @@ def _check_checksum(kind: type[Row], stored: Sequence[object]) -> None:
         raise DamagedRow(f"row {stored[0]} of table {table_of(kind).name} is not what was stored")
 
 
-def checked(kind: type[R], stored: Sequence[object]) -> R:
+def checked(kind: type[R], stored: Sequence[Any]) -> R:
     """Return a row of a table after a comparison with its checksum.
 
     Parameters
@@ -144,7 +144,7 @@ def checked_rows(connection: Connection, kind: type[R], statement: Select[Any]) 
 
 def checked_values(
     connection: Connection, kind: type[Row], statement: Select[Any]
-) -> Iterator[Sequence[object]]:
+) -> Iterator[Sequence[Any]]:
     """Yield the values of complete rows: every column of the table, the checksum last."""
     try:
         for rows in connection.execute(
@@ -163,9 +163,7 @@ def seal_unsealed(connection: Connection) -> None:
         table = table_of(kind)
         key = table.primary_key.columns[0]
         columns = [table.c[name] for name in kind.__slots__]
-        rows_without: Iterable[object] = connection.execute(
-            select(*columns).where(table.c[ROW_CRC32].is_(None))
-        )
+        rows_without: Iterable[Any] = connection.execute(select(*columns).where(table.c[ROW_CRC32].is_(None)))
         rows = (kind(**dict(zip(kind.__slots__, stored, strict=True))) for stored in rows_without)
         checksums = [{"its_key": getattr(row, key.name), "its_crc32": row_crc32(row)} for row in rows]
         if checksums:

@@ -240,7 +240,7 @@ class AssessmentRow(Row):
     ] = None
     cause_probability: Annotated[float | None, "Of that cause, or of the likeliest"] = None
     cause_told: Annotated[
-        dict[str, object] | None,
+        dict[str, Any] | None,
         "Sentence and action for operators, probability of every cause and of a step, relative changes",
     ] = None
     confirms: Annotated[
@@ -347,6 +347,18 @@ class TrendBlockRow(Row):
 
     place: str  # position, pyramid, sets of the block, its first set
     block: bytes
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class AssessorStateRow(Row):
+    """Part of the state of a position's assessor after its newest set (`assessment.stored_state`)."""
+
+    place: str  # position and part
+    position: str
+    baseline_id: int | None  # of the baseline that the state belongs to; None for a probe
+    configuration_hash: str  # of the settings that it was computed with
+    format: int
+    state: str  # JSON
 
 
 MEASURED_BY: Mapping[Method, type[FeatureRow] | type[ThicknessRow]] = MappingProxyType(

@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from types import NoneType
-from typing import Literal, get_args, get_origin
+from typing import Any, Literal, get_args, get_origin
 
 import sqlalchemy as sa
 from sqlalchemy.schema import SchemaItem
@@ -28,7 +28,7 @@ ROW_CRC32 = "row_crc32"
 
 _TABLES: dict[type[rows.Row], sa.Table] = {}
 # None is SQL's NULL, not the JSON text "null": so NOT NULL is effective.
-_TYPES: dict[object, TypeEngine[object]] = {
+_TYPES: dict[Any, TypeEngine[Any]] = {
     bool: sa.Boolean(),
     bytes: sa.LargeBinary(),
     dict: sa.JSON(none_as_null=True),
@@ -70,7 +70,7 @@ def _table(
     return _TABLES[kind]
 
 
-def _sql_type(column: rows.Column) -> TypeEngine[object]:
+def _sql_type(column: rows.Column) -> TypeEngine[Any]:
     """Return the SQL type of a column."""
     if column.name.endswith(_BIG_INTEGERS):
         return sa.BigInteger()
@@ -158,6 +158,7 @@ commands = _table("commands", rows.CommandRow, autoincrement=True)
 _index(commands, "state")
 counts = _table("counts", rows.CountsRow)
 trend_blocks = _table("trend_blocks", rows.TrendBlockRow)
+assessor_states = _table("assessor_states", rows.AssessorStateRow)
 
 KINDS = tuple(_TABLES)
 """Kinds of rows; a referenced kind comes before the referring one."""

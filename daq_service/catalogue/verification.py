@@ -74,7 +74,7 @@ class UnchangedCatalogue:
         """Return the path of SQLite's log or index file."""
         return self._path.with_name(f"{FILE_NAME}{suffix}")
 
-    def _query(self, sql: str, *values: object) -> list[dict[str, object]]:
+    def _query(self, sql: str, *values: Any) -> list[dict[str, Any]]:
         """Run a query and return its rows; connect again if a recorder has started."""
         if not self._shared and self._companion("-shm").exists():
             self._connect()  # a recorder has started: from now on the file changes
@@ -85,7 +85,7 @@ class UnchangedCatalogue:
                 return self._query(sql, *values)  # it was idle when opened and changed while it was read
             raise CatalogueDamagedError(f"{self._path} cannot be read: {error}") from error
 
-    def _values(self, sql: str) -> list[object]:
+    def _values(self, sql: str) -> list[Any]:
         """Return all values of a query."""
         return [value for row in self._query(sql) for value in row.values()]
 
@@ -189,14 +189,14 @@ class UnchangedCatalogue:
     def _positions(self) -> list[str]:
         return self._values("SELECT DISTINCT position FROM sets")
 
-    def of_set(self, table: str, set_index: int) -> list[dict[str, object]]:
+    def of_set(self, table: str, set_index: int) -> list[dict[str, Any]]:
         """Return the rows of a set in a table that has a position and a set index."""
         # Its indexes begin with the position.
         marks = ", ".join("?" * len(self._positions))
         where = f"WHERE position IN ({marks}) AND set_index = ?"
         return self._rows(table, where, *self._positions, set_index)
 
-    def _rows(self, table: str, where: str, *values: object) -> list[dict[str, object]]:
+    def _rows(self, table: str, where: str, *values: Any) -> list[dict[str, Any]]:
         """Return rows by current column names; an earlier revision lacks some."""
         rows = self._query(f"SELECT * FROM {table} {where}", *values)
         if rows and (unknown := rows[0].keys() - set(metadata.tables[table].columns.keys())):

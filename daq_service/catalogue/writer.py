@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, bindparam, func, insert, select, update
+from sqlalchemy import Connection, bindparam, delete, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
@@ -19,6 +19,7 @@ from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
     AssessmentRow,
+    AssessorStateRow,
     BaselineRow,
     CommandRow,
     CommandState,
@@ -34,6 +35,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.tables import (
     assessments,
+    assessor_states,
     commands,
     counts,
     events,
@@ -71,6 +73,8 @@ class SetCommit:
         As ``alarm_of_event``, with ``annotation_id``.
     order
          Command that this commit executes, with its answer; one with id 0 gets its id.
+    states
+        States of assessors after the set by ``place``; they replace the stored ones.
     assessments
         A row ``in_baseline`` replaces that of the same set and position: the baseline's own
         distances are known only when it is complete. Every other assessment is final.
@@ -89,6 +93,7 @@ class SetCommit:
     annotations: list[AnnotationRow] = field(default_factory=list)
     annotation_of_event: dict[int, int] = field(default_factory=dict)
     order: CommandRow | None = None
+    states: dict[str, AssessorStateRow] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -195,6 +200,7 @@ class RecorderCatalogue(Catalogue):
             baseline_ids = [_store_baseline(connection, row) for row in commit.baselines]
             _insert_assessments(connection, commit.assessments)
             _insert(connection, commit.environment)
+            _store_states(connection, list(commit.states.values()))
             alarm_ids = [_store(connection, row) for row in commit.alarms]
             annotation_ids = [_store(connection, row) for row in commit.annotations]
             event_ids = _ids(_insert(connection, _dated_events(commit, alarm_ids, annotation_ids)))
@@ -371,6 +377,13 @@ def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -
     _insert(connection, new)
 
 
+def _store_states(connection: Connection, rows: Sequence[AssessorStateRow]) -> None:
+    """Store the states of assessors in place of the earlier ones."""
+    places = [row.place for row in rows]
+    connection.execute(delete(assessor_states).where(assessor_states.c.place.in_(places)))
+    _insert(connection, rows)
+
+
 def _store(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
     """Store a new or changed row and return its id."""
     return _change_existing(connection, row, row.id) if row.id else _ids(_insert(connection, [row]))[0]
@@ -396,7 +409,7 @@ def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
     return row_id
 
 
-def _ids(rows: Iterable[object]) -> list[int]:
+def _ids(rows: Iterable[Any]) -> list[int]:
     """Return the ids of rows."""
     return [row.id for row in rows]
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from daq_service.assessment.confirmation import BUDGET_H
 from daq_service.settings.tree import Settings
@@ -115,16 +115,16 @@ def built_set_bytes(settings: Settings) -> float:
     return len(build_image(_set_of(settings, strike, echo, n_built))) * shots / n_built
 
 
-def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int) -> object:
+def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int) -> Any:
     """Build a set of noisy records; their pulses are few samples."""
     import numpy as np
 
     from daq_service.archive import PositionRecord, SetRecord
     from hardware_drivers.measurement import Calibration, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
 
-    random, twin, records = np.random.default_rng(0), settings.twin, list[object]()
+    random, twin, records = np.random.default_rng(0), settings.twin, list[Any]()
 
-    def waveform(size: RecordSize, adc: object, noise_v: float, at_s: float, width_s: float) -> object:
+    def waveform(size: RecordSize, adc: Any, noise_v: float, at_s: float, width_s: float) -> Any:
         time_s = np.arange(size.samples) / size.sample_rate_hz
         phase = np.clip((time_s - at_s) / width_s, -0.5, 0.5)
         volts = 0.5 * adc.range_v * np.cos(np.pi * phase) ** 4
@@ -145,7 +145,7 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
 
     for position, place in settings.positions.items():
         for shot_index in range(1 if place.method == PULSE_ECHO else shots):
-            taken: dict[str, object] = {
+            taken: dict[str, Any] = {
                 "sequence": len(records) + 1,
                 "key": ShotKey(position=position, set_index=0, shot_index=shot_index),
                 "stamp": Stamp(utc_ns=10**18 + len(records), mono_ns=len(records), boot_id="simulated"),
@@ -153,7 +153,7 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
             if place.method == PULSE_ECHO:
                 noise_v = twin.echo.noise_rms_v / twin.echo.averages**0.5
                 wave = waveform(echo, twin.echo, noise_v, 10e-6, 1e-6)
-                settings_of: dict[str, object] = {"gain_db": 30.0, "offset_v": 0.0, "averages": 1}
+                settings_of: dict[str, Any] = {"gain_db": 30.0, "offset_v": 0.0, "averages": 1}
                 records.append(PulseEchoRecord(**taken, **settings_of, waveform=wave, truth=ECHO_TRUTH))
             else:
                 wave = waveform(strike, twin.adc, twin.noise.rms_v, 150e-6, 400e-6)
@@ -184,7 +184,7 @@ def _results(settings: Settings, records: Sequence[Shot | PulseEchoRecord]) -> R
     from daq_service.assessment.transaction import shot_row
     from daq_service.catalogue.rows import FeatureRow, ThicknessRow
 
-    common: dict[str, object] = {"set_index": 0, "due_h": 0.5, "extractor_version": "1.1", "quality": "good"}
+    common: dict[str, Any] = {"set_index": 0, "due_h": 0.5, "extractor_version": "1.1", "quality": "good"}
     features = [
         FeatureRow(position=name, shot_index=None, sequence=None, n_valid=1, **common)
         for name in settings.names_of(SOLITARY_WAVE)

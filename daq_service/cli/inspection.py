@@ -56,7 +56,7 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
         )
 
 
-def _print_baseline(settings: Settings, facts: dict[str, object]) -> None:
+def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
     """Print the number of planned baseline sets, and a warning if there are too few."""
     if not settings.names_of(SOLITARY_WAVE):
         return

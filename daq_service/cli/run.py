@@ -14,7 +14,7 @@ from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from daq_service.catalogue import check_owner
 from daq_service.cli.terminal import ProgressReport
@@ -67,7 +67,7 @@ SWEPT_BY_PYTHON = "ignore:resource_tracker:UserWarning"
 STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
 
 
-def child_code(carry_out: Callable[..., int], options: Mapping[str, object]) -> int:
+def child_code(carry_out: Callable[..., int], options: Mapping[str, Any]) -> int:
     """Return the exit code of a child after sending it to the supervisor.
 
     Raises

@@ -6,7 +6,7 @@ import json
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import click
 
@@ -57,7 +57,7 @@ def print_simulation(
     sweeps: tuple[str, ...],
     sweep_file: Path | None,
     as_json: bool,
-    **options: object,
+    **options: Any,
 ) -> None:
     """Run the command."""
     settings = load_settings(config)
@@ -126,7 +126,7 @@ def _specimen(
     tilt_rad: float | None,
 ) -> Specimen:
     """Return the specimen with the options applied."""
-    place: object = settings
+    place: Any = settings
     if position is not None:
         if position not in settings.positions:
             raise ValueError(
@@ -155,7 +155,7 @@ def _grid(text: str) -> list[float]:
 
 def _shot(
     model: str, chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Compute one row: chain and plate integrated together, or Zener's impact of the last sphere."""
     given = {"depth_fraction": patch.depth_fraction, "drop_height_m": chain.drop_height_m}
     if model == "zener":

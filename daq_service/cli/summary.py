@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
+from typing import Any
 
 from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import open_catalogue
@@ -50,7 +51,7 @@ def _cost(catalogue: Catalogue) -> dict[str, float] | None:
     return rows[-1].payload["cost"] if rows else None
 
 
-def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, object]:
+def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any]:
     """Return the summary of a solitary-wave transducer."""
     assessments = catalogue.rows(AssessmentRow, position=position)
     assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
@@ -126,7 +127,7 @@ def _fraction(outliers: Iterable[bool | None]) -> float | None:
     return sum(known) / len(known) if known else None
 
 
-def summary_lines(summary: dict[str, object], folder: Path) -> Iterator[str]:
+def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
     """Yield the lines of the summary's table."""
     yield (
         f"{summary['sets']} sets, {summary['shots']} solitary-wave shots, {summary['pulse_echo_records']} "

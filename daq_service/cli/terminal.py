@@ -11,7 +11,7 @@ import time
 import webbrowser
 from collections.abc import Callable, Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Literal, Self
+from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
 
@@ -32,6 +32,11 @@ LOGGED_EVERY_S = 60.0
 DRAWN_PER_S = 2.0
 MOST_HELD_LINES = 10_000
 """Maximum number of waiting lines; later ones are dropped while a terminal is blocked."""
+
+
+def print_progress_of_sets(done: int, total: int) -> None:
+    """Print the progress of a reassessment to standard error."""
+    click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)
 
 
 def console_on(stream: Literal["stdout", "stderr"]) -> Console:
@@ -149,14 +154,14 @@ class ProgressReport:
 
     # Events of a recorder, direct or through its supervisor -----------------------------------------------
 
-    def __call__(self, event: str, **values: object) -> None:
+    def __call__(self, event: str, **values: Any) -> None:
         """Print an event of the recorder; unknown events are ignored."""
         hear = getattr(self, f"_hear_{event}", None)
         if hear is not None:
             with self._lock:
                 hear(**values)
 
-    def hear(self, child: str, message: Mapping[str, object]) -> None:
+    def hear(self, child: str, message: Mapping[str, Any]) -> None:
         """Print a message that a supervisor received from a child."""
         values = {name: value for name, value in message.items() if name != "event"}
         if message["event"] == "restarts":
@@ -166,7 +171,7 @@ class ProgressReport:
         elif child == "recorder":
             self(message["event"], **values)
 
-    def _hear_beat(self, *, doing: str, **_: object) -> None:
+    def _hear_beat(self, *, doing: str, **_: Any) -> None:
         if doing != self._doing:
             self._doing, self._doing_since_s = doing, self._mono_s()
 
@@ -190,7 +195,7 @@ class ProgressReport:
             self._logged_s = now_s
             self._put(self._progress)
 
-    def _hear_alarm(self, *, change: str, hour: float, severity: str, message: str, **_: object) -> None:
+    def _hear_alarm(self, *, change: str, hour: float, severity: str, message: str, **_: Any) -> None:
         is_active = change in ("alarm_raised", "alarm_worsened", "alarm_returned")
         text = f"ALARM, {severity}" if is_active else change.replace("_", " ")
         self._put(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
@@ -199,7 +204,7 @@ class ProgressReport:
         self._put(f"waiting: {why}", style="yellow")
 
     def _hear_asked(
-        self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: object
+        self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: Any
     ) -> None:
         shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
         self._put(f"{text}{shot}: within {duration(within_s)}", style="bold")

@@ -63,12 +63,12 @@ class Connection:
         """
         response = self.response(path, **parameters)
         try:
-            answer: dict[str, object] = response.json()
+            answer: dict[str, Any] = response.json()
         except ValueError:
             raise _foreign_service_error(response) from None
         return answer
 
-    def response(self, path: str, **parameters: object) -> httpx.Response:
+    def response(self, path: str, **parameters: Any) -> httpx.Response:
         """Return the response of a path below ``/api/v1/``; parameters that are None are left out."""
         parameters_given = {name: value for name, value in parameters.items() if value is not None}
         try:
@@ -80,7 +80,7 @@ class Connection:
         raise_refusal(response)
         return response
 
-    def pages(self, resource: str, **parameters: object) -> tuple[list[dict[str, object]], dict[str, object]]:
+    def pages(self, resource: str, **parameters: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
         """Read all pages of a listing; return its rows, and ``as_of`` of the last page."""
         items: list[dict[str, Any]] = []
         cursor = None
@@ -91,11 +91,11 @@ class Connection:
             if cursor is None:
                 return items, page["as_of"]
 
-    def events(self, after: int, topics: str | None) -> Iterator[dict[str, object]]:
+    def events(self, after: int, topics: str | None) -> Iterator[dict[str, Any]]:
         """Yield events after an id endlessly, with ``gap`` and ``topic`` as in the stream."""
         return (self._events or self._stream_events)(after, topics)
 
-    def _stream_events(self, after: int, topics: str | None) -> Iterator[dict[str, object]]:
+    def _stream_events(self, after: int, topics: str | None) -> Iterator[dict[str, Any]]:
         parameters: Mapping[str, str] = {} if topics is None else {"topics": topics}
         url, last_reason = self.http.base_url, ""
         while not self._closed.is_set():
@@ -148,7 +148,7 @@ def lines_of(chunks: Iterable[bytes]) -> Iterator[str]:
         yield from (line.decode(errors="replace") for line in complete)
 
 
-def parse_events(lines: Iterator[str]) -> Iterator[dict[str, object]]:
+def parse_events(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
     """Yield the events of server-sent lines, without heartbeats and the final `bye`.
 
     An unreadable frame is logged and skipped.

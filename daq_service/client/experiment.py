@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal, Self
+from typing import Any, Literal, Self
 
 import pandas as pd
 import xarray
@@ -35,7 +35,7 @@ class Event:
     kind: str
     position: str | None
     set_index: int | None
-    data: dict[str, object]
+    data: dict[str, Any]
 
 
 class Experiment:
@@ -60,7 +60,7 @@ class Experiment:
         """Close files and connections."""
         self._connection.close()
 
-    def info(self) -> dict[str, object]:
+    def info(self) -> dict[str, Any]:
         """Return name, rig, clock, schedule, limits and positions (`/api/v1/info`)."""
         return self._connection.get("info")
 
@@ -191,6 +191,6 @@ class Experiment:
                 data=event,
             )
 
-    def _table(self, kind: type[Row], resource: str, **filters: object) -> pd.DataFrame:
+    def _table(self, kind: type[Row], resource: str, **filters: Any) -> pd.DataFrame:
         items, as_of = self._connection.pages(resource, **filters)
         return frame(kind, items, as_of)

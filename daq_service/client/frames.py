@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import pandas as pd
 
@@ -12,7 +13,7 @@ from daq_service.catalogue.rows import Row
 DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "boolean", "text": "object"}
 
 
-def frame(kind: type[Row], items: Sequence[dict[str, object]], as_of: dict[str, object]) -> pd.DataFrame:
+def frame(kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any]) -> pd.DataFrame:
     """Return a table of rows; a missing value is NaN, NaT or NA.
 
     Returns

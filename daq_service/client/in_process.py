@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import httpx
 from anyio.from_thread import start_blocking_portal
@@ -52,7 +53,7 @@ def folder_connection(folder: Path) -> Connection:
 class InProcess(httpx.BaseTransport):
     """Transport of requests to an application, on a separate event loop, as a notebook already runs one."""
 
-    def __init__(self, app: object) -> None:
+    def __init__(self, app: Any) -> None:
         self._app = app
         self._asgi = httpx.ASGITransport(app)
         self._portal_context = start_blocking_portal()

@@ -11,6 +11,7 @@ import ssl
 from fnmatch import fnmatchcase
 from ipaddress import ip_address, ip_network
 from pathlib import Path
+from typing import Any
 from urllib.request import getproxies, proxy_bypass
 
 import httpx
@@ -34,7 +35,7 @@ def http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> h
     variable = ""
     try:
         variable, proxy = proxy_of(url := httpx.URL(address))
-        options: dict[str, object] = {"verify": _certificates(url.scheme), "proxy": proxy, "trust_env": False}
+        options: dict[str, Any] = {"verify": _certificates(url.scheme), "proxy": proxy, "trust_env": False}
         return httpx.Client(base_url=address, headers=headers, timeout=timeout_s, **options)
     except OSError as error:  # ssl.SSLError is one
         name = next(filter(os.environ.get, CERTIFICATES), "the package certifi")

@@ -60,7 +60,7 @@ def read_waveforms(
 
 def _read_results(
     connection: Connection, position: str, method: str, index: int
-) -> tuple[dict[int, dict[str, object]], dict[str, object]]:
+) -> tuple[dict[int, dict[str, Any]], dict[str, Any]]:
     """Return hour and quality of each waveform of a set, by its sequence number."""
     if method == "pulse_echo":
         items, as_of = connection.pages("thickness", position=position, set_index=index)

@@ -96,7 +96,7 @@ class Audit:
         with self._lock:
             self._left_out += 1
 
-    def add(self, **fields: object) -> None:
+    def add(self, **fields: Any) -> None:
         """Append an entry, unless it is a rejection above the rate limit."""
         entry = AuditEntry(**fields)
         with self._lock:

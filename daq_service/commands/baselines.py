@@ -9,7 +9,7 @@ from pydantic import AfterValidator, Field
 
 from daq_service.alarms.states import ALARMS_OF_CHANGE, NOT_ASSESSED, reset
 from daq_service.assessment.baseline_lifecycle import APPROVED, COLLECTING, RETIRED, approve, renew
-from daq_service.commands.kinds import SEEN, Facts, Refusal, TransducerArguments, TransducerOrder
+from daq_service.commands.kinds import SEEN, Facts, Refusal, TransducerArguments, TransducerCommand
 from daq_service.settings.foreign_text import require_written
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ class RenewalArguments(TransducerArguments):
     ]
 
 
-class ApproveBaseline(TransducerOrder):
+class ApproveBaseline(TransducerCommand):
     """Sign a proposed baseline."""
 
     kind: Literal["approve_baseline"]
@@ -44,7 +44,7 @@ class ApproveBaseline(TransducerOrder):
         reason = f"the baseline of {position} is {state}: there is nothing to sign"
         return Refusal(reason, "A baseline waits for a signature where baseline.approval is by_a_person.")
 
-    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
+    def _forbidden_at(self, position: str, disabled: str | None) -> Refusal | None:
         return None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
@@ -55,20 +55,11 @@ class ApproveBaseline(TransducerOrder):
         return f"{row.name} is approved"
 
 
-class RenewBaseline(TransducerOrder):
+class RenewBaseline(TransducerCommand):
     """Retire a baseline: its successor collects from the next planned set on."""
 
     kind: Literal["renew_baseline"]
     arguments: RenewalArguments
-
-    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
-        reason, hint = (
-            f"{position} is retired and takes no sets",
-            "Enable it first, then renew its baseline.",
-        )
-        return (
-            None if retired is None else Refusal(reason, hint, f"{reason[0].upper()}{reason[1:]}: {retired}.")
-        )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         position, moment, reason = self.arguments.position, test.moment(), self.arguments.note.strip()

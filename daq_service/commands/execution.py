@@ -19,7 +19,7 @@ from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import CommandRow, CommandState
 from daq_service.clock import SimulatedClock
 from daq_service.commands.deadline import expired_reason, remaining_now_s, with_expiry
-from daq_service.commands.kinds import Facts, Order
+from daq_service.commands.kinds import Command, Facts
 from daq_service.commands.registry import KINDS, parse_command
 from daq_service.commands.running_test import PendingAnswer, RunningTest
 from daq_service.errors import StorageError, UsageError
@@ -88,7 +88,7 @@ class CommandExecutor:
     def close(self, why: str) -> None:
         """Answer every open command without executing it."""
         for row in self._catalogue.open_commands():
-            is_unknown = row.state == "started" and not KINDS.get(row.kind, Order).rows_only
+            is_unknown = row.state == "started" and not KINDS.get(row.kind, Command).rows_only
             answer = FAILED if is_unknown else ("expired", expired_reason(why))
             self._finish(row, self._answers.get(row.id, answer))
 

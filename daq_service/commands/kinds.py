@@ -1,8 +1,8 @@
 """Commands to a running test: arguments, conditions and effect of each kind.
 
-The web service and the command line check the arguments. The web service calls `Order.forbidden` with stored
-facts, the recorder with current ones. A new kind is a class in this package and a name in
-`registry.AnyOrder`.
+The web service and the command line check the arguments. The web service calls `Command.forbidden` with
+stored facts, the recorder with current ones. A new kind is a class in this package and a name in
+`registry.AnyCommand`.
 """
 
 from __future__ import annotations
@@ -179,7 +179,7 @@ class SupplyArguments(NoteArguments):
     current_limit_a: float | None = Field(default=None, gt=0.0, le=100.0)
 
 
-class OrderRefusedError(ValueError):
+class CommandRejectedError(ValueError):
     """Error of a command that cannot be executed now, with its ``refusal``."""
 
     def __init__(self, refusal: Refusal) -> None:
@@ -187,7 +187,7 @@ class OrderRefusedError(ValueError):
         self.refusal = refusal
 
 
-class Order(Strict):
+class Command(Strict):
     """What a person asks of a test."""
 
     needs_recorder: ClassVar[bool] = True
@@ -223,12 +223,12 @@ class Order(Strict):
 
         Raises
         ------
-        OrderRefusedError
+        CommandRejectedError
             The command cannot be executed, with the reason.
         """
         refusal = self.forbidden(facts)
         if refusal is not None:
-            raise OrderRefusedError(refusal)
+            raise CommandRejectedError(refusal)
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
         return None
@@ -237,7 +237,7 @@ class Order(Strict):
         raise NotImplementedError
 
 
-class FinishNow(Order):
+class FinishNow(Command):
     """Stop pacing: the rest of the simulated test runs as fast as it goes."""
 
     kind: Literal["finish_now"]
@@ -258,7 +258,7 @@ class FinishNow(Order):
         return "no pacing from here on"
 
 
-class Stop(Order):
+class Stop(Command):
     """End the recording after the current set."""
 
     kind: Literal["stop"]
@@ -269,7 +269,7 @@ class Stop(Order):
         return "stopping after the shot being taken"
 
 
-class DeskOrder(Order):
+class StoredCommand(Command):
     """An order about what is stored: where nobody records, the web service carries it out."""
 
     needs_recorder = False
@@ -283,7 +283,7 @@ class DeskOrder(Order):
         raise NotImplementedError
 
 
-class AcknowledgeAlarm(DeskOrder):
+class AcknowledgeAlarm(StoredCommand):
     """An operator has seen an alarm."""
 
     kind: Literal["acknowledge_alarm"]
@@ -310,7 +310,7 @@ class AcknowledgeAlarm(DeskOrder):
         return "acknowledged"
 
 
-class Annotate(DeskOrder):
+class Annotate(StoredCommand):
     """Note something of an hour of the test, or of a range."""
 
     kind: Literal["annotate"]
@@ -341,7 +341,7 @@ class Annotate(DeskOrder):
         return "noted"
 
 
-class WithdrawAnnotation(DeskOrder):
+class WithdrawAnnotation(StoredCommand):
     """Take an annotation back; it stays in the catalogue, with who withdrew it."""
 
     kind: Literal["withdraw_annotation"]
@@ -369,7 +369,7 @@ class WithdrawAnnotation(DeskOrder):
         return "withdrawn"
 
 
-class Pause(Order):
+class Pause(Command):
     """Pause striking until the test is resumed, also after a restart."""
 
     rows_only = True
@@ -386,7 +386,7 @@ class Pause(Order):
         return "paused: nothing strikes until the test is resumed; due sets are missed"
 
 
-class Resume(Order):
+class Resume(Command):
     """Resume a paused test with the next due set."""
 
     rows_only = True
@@ -402,7 +402,7 @@ class Resume(Order):
         return "resumed: the next due set is taken"
 
 
-class TrustClock(Order):
+class TrustClock(Command):
     """Trust the computer clock and continue the test."""
 
     kind: Literal["trust_clock"]
@@ -421,7 +421,7 @@ class TrustClock(Order):
         return test.clock.trust()
 
 
-class TransducerOrder(Order):
+class TransducerCommand(Command):
     """About a solitary-wave transducer."""
 
     rows_only = True
@@ -435,18 +435,16 @@ class TransducerOrder(Order):
             return Refusal(f"{missing}; {names}", f"T{names[1:]}.", f"T{missing[1:]}.")
         return self._forbidden_at(position, states.retired_positions(facts.alarms).get(position))
 
-    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
-        raise NotImplementedError
+    def _forbidden_at(self, position: str, disabled: str | None) -> Refusal | None:
+        """Return the rejection at a transducer that is disabled for this reason."""
+        reason, hint = f"{position} is disabled", "Enable it when it is repaired."
+        return None if disabled is None else Refusal(reason, hint, f"{reason}: {disabled}.")
 
 
-class Disable(TransducerOrder):
+class Disable(TransducerCommand):
     """Stop striking one transducer until it is enabled; the others continue."""
 
     kind: Literal["disable"]
-
-    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
-        reason, hint = f"{position} is disabled already", "Enable it when it is repaired."
-        return None if retired is None else Refusal(reason, hint, f"{reason}: {retired}.")
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         position, moment = self.arguments.position, test.moment()
@@ -465,14 +463,14 @@ class Disable(TransducerOrder):
         return f"{position} is disabled"
 
 
-class Enable(TransducerOrder):
+class Enable(TransducerCommand):
     """Enable a disabled transducer from the next set."""
 
     kind: Literal["enable"]
 
-    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
-        reason, hint = f"{position} is not disabled", "/api/v1/transducers tells which are, and why."
-        return Refusal(reason, hint) if retired is None else None
+    def _forbidden_at(self, position: str, disabled: str | None) -> Refusal | None:
+        reason, hint = f"{position} is not disabled", "/api/v1/transducers lists which are, and why."
+        return Refusal(reason, hint) if disabled is None else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         position, moment = self.arguments.position, test.moment()
@@ -487,7 +485,7 @@ class Enable(TransducerOrder):
         return f"{position} strikes again from the next set"
 
 
-class Strike(TransducerOrder):
+class Strike(TransducerCommand):
     """Take one unscheduled set at a transducer, outside control chart and baseline."""
 
     kind: Literal["strike"]
@@ -498,10 +496,6 @@ class Strike(TransducerOrder):
             return Refusal(reason, "Resume it when all hands are out of the rig.")
         return super()._forbidden(facts)
 
-    def _forbidden_at(self, position: str, retired: str | None) -> Refusal | None:
-        reason, hint = f"{position} is disabled", "Enable it when it is repaired."
-        return None if retired is None else Refusal(reason, hint, f"{reason}: {retired}.")
-
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         position = self.arguments.position
         reason = self.arguments.note or f"{self.author} wants to know"
@@ -509,7 +503,7 @@ class Strike(TransducerOrder):
         return f"a confirmation set is struck at {position} as soon as the line is free"
 
 
-class _SupplyOrder(Order):
+class _SupplyCommand(Command):
     def _forbidden(self, facts: Facts) -> Refusal | None:
         if facts.has_supply:
             return None
@@ -520,7 +514,7 @@ class _SupplyOrder(Order):
         )
 
 
-class SupplyOn(_SupplyOrder):
+class SupplyOn(_SupplyCommand):
     """Switch the corrosion drive on; only a person's order ever does."""
 
     kind: Literal["supply_on"]
@@ -534,7 +528,7 @@ class SupplyOn(_SupplyOrder):
         )
 
 
-class SupplyOff(_SupplyOrder):
+class SupplyOff(_SupplyCommand):
     """Switch the corrosion drive off."""
 
     kind: Literal["supply_off"]

@@ -11,10 +11,10 @@ from daq_service.commands.baselines import ApproveBaseline, RenewBaseline
 from daq_service.commands.kinds import (
     AcknowledgeAlarm,
     Annotate,
+    Command,
     Disable,
     Enable,
     FinishNow,
-    Order,
     Pause,
     Resume,
     Stop,
@@ -27,7 +27,7 @@ from daq_service.commands.kinds import (
 from daq_service.commands.suppression import ReturnToService, ShelveAlarm, TakeOutOfService, UnshelveAlarm
 from daq_service.errors import UsageError
 
-AnyOrder = Annotated[
+AnyCommand = Annotated[
     FinishNow
     | Stop
     | AcknowledgeAlarm
@@ -49,12 +49,12 @@ AnyOrder = Annotated[
     | RenewBaseline,
     Field(discriminator="kind"),
 ]
-KINDS: Mapping[str, type[Order]] = {
-    get_args(order.model_fields["kind"].annotation)[0]: order for order in get_args(get_args(AnyOrder)[0])
+KINDS: Mapping[str, type[Command]] = {
+    get_args(order.model_fields["kind"].annotation)[0]: order for order in get_args(get_args(AnyCommand)[0])
 }
 
 
-def parse_command(kind: str, author: str, arguments: Mapping[str, object]) -> Order:
+def parse_command(kind: str, author: str, arguments: Mapping[str, object]) -> Command:
     """Parse and validate a command that does not come as JSON from the web service.
 
     Raises

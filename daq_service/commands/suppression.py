@@ -10,7 +10,7 @@ from pydantic import AfterValidator, Field
 
 from daq_service.alarms import states
 from daq_service.catalogue.rows import AlarmRow
-from daq_service.commands.kinds import LARGEST_ID, SEEN, AlarmArguments, DeskOrder, Facts, Refusal, Strict
+from daq_service.commands.kinds import LARGEST_ID, SEEN, AlarmArguments, Facts, Refusal, StoredCommand, Strict
 from daq_service.settings.foreign_text import require_written
 
 if TYPE_CHECKING:
@@ -38,7 +38,7 @@ class ShelfArguments(OutOfServiceArguments):
     )
 
 
-class _AlarmOrder(DeskOrder):
+class _AlarmOrder(StoredCommand):
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         """Return the changed alarm; raise ValueError if its state does not allow the change."""
         raise NotImplementedError

@@ -16,14 +16,14 @@ from daq_service.catalogue import Catalogue
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, CommandRow
 from daq_service.catalogue.store import open_for_one_command
-from daq_service.commands.kinds import DeskOrder, Facts
+from daq_service.commands.kinds import Facts, StoredCommand
 from daq_service.commands.running_test import StoredTest
 from daq_service.processes.data_folder import own_data_folder
 
 
 def carry_out_unattended(
     folder: Path,
-    order: DeskOrder,
+    order: StoredCommand,
     *,
     facts: Callable[[Catalogue], Facts],
     moment: Callable[[], Moment],
@@ -39,7 +39,7 @@ def carry_out_unattended(
     ------
     BusyError
         A recorder has started meanwhile: send it the command. Nothing was changed.
-    OrderRefusedError
+    CommandRejectedError
         It cannot be executed. Nothing was changed.
     StorageError
         The folder cannot be written, or its catalogue is corrupt. Nothing was changed.

@@ -13,7 +13,7 @@ import logging
 import selectors
 import socket
 from collections.abc import Callable, Mapping
-from typing import Self
+from typing import Any, Self
 
 log = logging.getLogger(__name__)
 
@@ -23,7 +23,7 @@ CONNECT_WITHIN_S = 0.2
 LONGEST_LINE = 65_536
 MOST_CONNECTIONS = 16
 
-Message = Mapping[str, object]
+Message = Mapping[str, Any]
 
 
 def signed_line(key: bytes, message: Message) -> bytes:
@@ -32,7 +32,7 @@ def signed_line(key: bytes, message: Message) -> bytes:
     return hmac.new(key, body, "sha256").hexdigest().encode() + b" " + body + b"\n"
 
 
-def verified_message(key: bytes, line: bytes) -> dict[str, object] | None:
+def verified_message(key: bytes, line: bytes) -> dict[str, Any] | None:
     """Return the message of a line; None where it was not signed with this key."""
     signature, _, body = line.rstrip(b"\n").partition(b" ")
     if not hmac.compare_digest(signature, hmac.new(key, body, "sha256").hexdigest().encode()):
@@ -60,7 +60,7 @@ class Connection:
         if self.socket.send(line) != len(line):
             raise BlockingIOError("the other side does not read")
 
-    def received(self) -> list[dict[str, object]]:
+    def received(self) -> list[dict[str, Any]]:
         """Return the received messages.
 
         Raises

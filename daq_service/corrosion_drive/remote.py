@@ -110,9 +110,9 @@ class RemoteDrive:
         self._ids = itertools.count(1)
         self._sent: dict[int, _Request] = {}
         self._unsent: list[_Request] = []
-        self._pending: Mapping[str, object] | None = None
+        self._pending: Mapping[str, Any] | None = None
         self._commanded: bool | None = None
-        self._newest: Mapping[str, object] | None = None
+        self._newest: Mapping[str, Any] | None = None
         self._newest_s = self._started_s = self._next_check_s = self._start_s = mono_s()
         self._starts = 0
         self._tripped: str | None = None
@@ -205,7 +205,7 @@ class RemoteDrive:
         except (OSError, ValueError, LookupError, TypeError) as error:
             self._handle_lost_connection(error)
 
-    def _request(self, do: str, **values: object) -> None:
+    def _request(self, do: str, **values: Any) -> None:
         self._send(_Request(values={"do": do, **values}, since_s=self._mono_s(), reply=Reply()))
 
     def _send(self, request: _Request) -> None:
@@ -215,7 +215,7 @@ class RemoteDrive:
         self._sent[number] = request
         self._connection.send({"id": number, **request.values})
 
-    def _process_answer(self, answer: Mapping[str, object]) -> None:
+    def _process_answer(self, answer: Mapping[str, Any]) -> None:
         request = self._sent.pop(answer["id"], None)
         if request is not None:
             request.reply.error = answer.get("error", "")
@@ -277,7 +277,7 @@ class RemoteDrive:
         self._command("trip", reason=reason)
         return False
 
-    def _command(self, do: str, **values: object) -> Reply:
+    def _command(self, do: str, **values: Any) -> Reply:
         if do == "energise":
             until_ns = elapsed_ns() + round(self._parameters.read_timeout_s + COMES_WITHIN_S) * NS_PER_S
             values["until_boot_ns"] = until_ns

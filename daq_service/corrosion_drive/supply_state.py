@@ -13,6 +13,7 @@ import time
 from contextlib import AbstractContextManager
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 from daq_service.catalogue.rows import ReadingQuality, SupplyState
 from daq_service.clock import boot_name, elapsed_ns
@@ -100,7 +101,7 @@ def process_of(folder: Path) -> int:
     return int(lock_text(folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
 
-def stored_state_now(state: DriveState, **values: object) -> StoredState:
+def stored_state_now(state: DriveState, **values: Any) -> StoredState:
     """Return the state with the present time stamps."""
     now_ns = elapsed_ns()
     stamps = {"utc_ns": time.time_ns(), "boot_ns": now_ns, "boot_id": boot_name(), "heard_boot_ns": now_ns}

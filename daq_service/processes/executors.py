@@ -16,6 +16,7 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExec
 from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import version
+from typing import Any
 from urllib.parse import urlsplit
 
 from daq_service.errors import BusyError, UsageError
@@ -106,7 +107,7 @@ def worker_lost() -> tuple[type[Exception], ...]:
 class _Task(Future[object]):
     """Task that may be submitted several times."""
 
-    def __init__(self, call: Callable[[], object]) -> None:
+    def __init__(self, call: Callable[[], Any]) -> None:
         super().__init__()
         self.call, self.tries = call, 0
         self.attempt: Future[object] | None = None
@@ -126,7 +127,7 @@ class _ProcessExecutor(Executor):
         self._workers, self._lock, self._closed = min(workers, MOST_PROCESSES), threading.Lock(), False
         self._pool = self._new_pool()
 
-    def submit(self, work: Callable[..., object], /, *args: object, **named: object) -> Future[object]:
+    def submit(self, work: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
         task = _Task(partial(work, *args, **named))
         self._submit_attempt(task)
         return task
@@ -173,11 +174,11 @@ class _ProcessExecutor(Executor):
 class _ClusterExecutor(Executor):
     """Workers of a Dask cluster; its scheduler repeats the task of a worker that died on another one."""
 
-    def __init__(self, client: object) -> None:
+    def __init__(self, client: Any) -> None:
         self._executor = client.get_executor(pure=False)
         self.n_workers = sum(client.nthreads().values())
 
-    def submit(self, work: Callable[..., object], /, *args: object, **named: object) -> Future[object]:
+    def submit(self, work: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
         future: Future[object] = self._executor.submit(_in_one_thread, work, *args, **named)
         return future
 
@@ -201,7 +202,7 @@ def _cluster(name: str) -> Iterator[Executor]:
     address = f"tcp://{host_and_port[0]}:{host_and_port[1]}"
     try:  # a client without a scheduler leaves its thread behind
         socket.create_connection(host_and_port, timeout=CONNECTED_WITHIN_S).close()
-        client: object = Client(address, timeout=CONNECTED_WITHIN_S, set_as_default=False)
+        client: Any = Client(address, timeout=CONNECTED_WITHIN_S, set_as_default=False)
     except OSError as error:
         raise BusyError(
             f"no Dask scheduler answers at {address} within {CONNECTED_WITHIN_S:g} s; start `dask scheduler` "

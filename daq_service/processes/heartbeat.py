@@ -20,7 +20,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 from daq_service.clock import TimeLine, boot_name, elapsed_ns
 from daq_service.shared_file import O_BINARY, read_hint
@@ -154,7 +154,7 @@ def encoded(beat: Beat) -> bytes:
     return json.dumps({**values, "crc32": _crc32(values)}).encode().ljust(FILE_BYTES)
 
 
-def _crc32(values: Mapping[str, object]) -> int:
+def _crc32(values: Mapping[str, Any]) -> int:
     return zlib.crc32(json.dumps(values).encode())
 
 
@@ -191,7 +191,7 @@ def _decoded(content: bytes) -> Beat:
     return beat_of(values)
 
 
-def beat_of(values: Mapping[str, object]) -> Beat:
+def beat_of(values: Mapping[str, Any]) -> Beat:
     """Check the values of a beat and return it.
 
     Raises
@@ -211,7 +211,7 @@ def beat_of(values: Mapping[str, object]) -> Beat:
     )
 
 
-def _optional_int(value: object) -> int | None:
+def _optional_int(value: Any) -> int | None:
     return None if value is None else int(value)
 
 

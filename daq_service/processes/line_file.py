@@ -21,11 +21,11 @@ MOST_LINES = 20_000
 LOOK_BACK_LINES = 20
 """The last ones may be torn."""
 
-Line = tuple[int, Mapping[str, object]]
+Line = tuple[int, Mapping[str, Any]]
 """Number and row."""
 
 
-def append_line(path: Path, table: str, row: Mapping[str, object]) -> None:
+def append_line(path: Path, table: str, row: Mapping[str, Any]) -> None:
     """Append a line durably.
 
     Raises

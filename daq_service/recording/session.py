@@ -36,7 +36,7 @@ from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import FAREWELLS, PROCESS_EVENTS
 from daq_service.recording.computer_load import ComputerLoadWatch
 from daq_service.recording.opening import Opening, OpeningAlarm, open_patiently
-from daq_service.recording.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild
 from daq_service.recording.recorder import Recorder
 from daq_service.recording.resources import (
     PLAIN,

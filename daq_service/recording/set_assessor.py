@@ -23,9 +23,10 @@ from daq_service.alarms.states import (
     update,
 )
 from daq_service.archive import SetReader, SetRecord
-from daq_service.assessment.assessor import Assessor, PositionResult
+from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.confirmation import summarize_confirmation
 from daq_service.assessment.methods import METHODS
+from daq_service.assessment.position_assessors import PositionAssessors
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
@@ -58,6 +59,8 @@ class SetAssessor:
         A whole set was taken in this folder: from then on trouble of its instruments costs sets only.
     confirmations
         Unscheduled sets.
+    assessors
+        Assessors by position.
     drive
         The corrosion drive; None where the test has neither supply nor climate probe.
     """
@@ -83,8 +86,7 @@ class SetAssessor:
         counts = catalogue.counts()
         self.proven = counts["sets"] > counts["partial_sets"]
         self.confirmations = Confirmations(settings, catalogue)
-        self._archive, self._rehearsal = archive, rehearsal
-        self._assessors = {position: self._restored(position) for position in settings.positions}
+        self.assessors = PositionAssessors(settings, catalogue, archive, rehearsal)
         self.alarms = {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
         self._delayed_since_ns: dict[tuple[str | None, str], int | None] = {}
         for event in catalogue.rows(EventRow, topic="alarms", kind=DELAY_EVENT):
@@ -102,7 +104,7 @@ class SetAssessor:
 
     def passed(self, row: SetRow) -> Sequence[Condition]:
         """Update the state with the stored row of a set without waveforms; return its alarm conditions."""
-        position_result = self._assessor(row.position).assess_empty_set(
+        position_result = self.assessors[row.position].assess_empty_set(
             DueSet(set_index=row.set_index, due_h=row.due_h, due_utc_ns=row.due_utc_ns),
             row.n_missed - row.n_restrikes,
         )
@@ -111,23 +113,6 @@ class SetAssessor:
     def retired(self) -> dict[str, str]:
         """Transducers that strike no more, and why."""
         return retired_positions(self.alarms.values())
-
-    def reinstated(self, position: str) -> None:
-        """Reset the reason why a transducer was disabled: a person has enabled it."""
-        self._assessor(position).reinstate()
-
-    def renewed(self, position: str) -> None:
-        """Judge by what is stored from the next set on: a person has begun another baseline."""
-        self._assessors.pop(position, None)
-
-    def _restored(self, position: str) -> Assessor:
-        method = METHODS[self._settings.positions[position].method]
-        return method.restored(position, self._settings, self._catalogue, self._archive, self._rehearsal)
-
-    def _assessor(self, position: str) -> Assessor:
-        if position not in self._assessors:
-            self._assessors[position] = self._restored(position)
-        return self._assessors[position]
 
     def assessed(
         self,
@@ -161,7 +146,7 @@ class SetAssessor:
                 )
                 continue
             measurements = [item for item in record.records if item.key.position == position]
-            assessor = self._assessor(position)
+            assessor = self.assessors[position]
             with self._cost.of("judge_s"):
                 assess_set = assessor.assess_set if due.position is None else assessor.assess_unscheduled
                 position_result = assess_set(due, record, features)
@@ -213,7 +198,7 @@ class SetAssessor:
         ValueError
             It cannot be taken, and why.
         """
-        if reason := self._assessor(position).not_assessed_reason:
+        if reason := self.assessors[position].not_assessed_reason:
             raise ValueError(f"{position} has nothing to compare a set with: {reason}")
         return self.confirmations.order(planned, position, author, note, moment)
 
@@ -276,9 +261,13 @@ class SetAssessor:
         if transaction is self._uncommitted and indices <= self._catalogue.committed_sets(indices):
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             return
+        # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
+        if indices or (self.assessors.reinstated and self._uncommitted is None):
+            transaction.states |= self.assessors.changed_states()
         self._uncommitted = transaction if indices else self._uncommitted
         with self._cost.of("commit_s"):
             committed = self._catalogue.commit_set(transaction)
+        self._uncommitted = None if transaction is self._uncommitted else self._uncommitted
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
 
@@ -314,7 +303,7 @@ class SetAssessor:
             restrikes = sum(key.attempt > 0 for key in missed)
             position_result = PositionResult()
             if tried is not None and not gone and due.position is None:
-                position_result = self._assessor(position).assess_empty_set(due, len(missed) - restrikes)
+                position_result = self.assessors[position].assess_empty_set(due, len(missed) - restrikes)
             row = replace(
                 without_records(
                     self._settings,

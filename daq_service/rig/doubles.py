@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from daq_service.errors import RigError, UsageError
 from daq_service.rig.open_rig import CONTROL_VARIABLE
@@ -135,14 +135,12 @@ def _description(settings: Settings) -> Description:
     )
 
 
-def _rig_tables(
-    settings: Settings, transport: str, grpc: str | None, *, has_probe: bool
-) -> dict[str, object]:
+def _rig_tables(settings: Settings, transport: str, grpc: str | None, *, has_probe: bool) -> dict[str, Any]:
     """Return the table ``[rig]`` for the doubles' boards."""
     from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT
 
     adc, echo = settings.twin.adc, settings.twin.echo
-    tables: dict[str, object] = {
+    tables: dict[str, Any] = {
         "kind": "daqmx",
         "on_doubles": True,
         "daqmx": {

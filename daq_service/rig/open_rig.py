@@ -94,7 +94,7 @@ def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
         yield opened.supply
 
 
-def opening_of(item: Instrument, settings: Settings, clock: Clock, **fields: object) -> Opening:
+def opening_of(item: Instrument, settings: Settings, clock: Clock, **fields: Any) -> Opening:
     """Return the `Opening` of an instrument; `fields` are further fields of it."""
     return Opening(
         clock=clock,
@@ -126,7 +126,7 @@ def _compose_rig(
     def at(role: Role) -> dict[str, Any]:
         return {name: getattr(its, role) for item, its in pairs for name in item.serves.get(role, ())}
 
-    def first(role: Role) -> object:
+    def first(role: Role) -> Any:
         return next((getattr(its, role) for item, its in pairs if role in item.serves), None)
 
     mixed = kind == "mixed"

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-import json
 import re
 import textwrap
+import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from decimal import Decimal
 from typing import Any
 
+import tomlkit
+from tomlkit.items import Float, Item, Table, Trivia
+
 from daq_service.settings.schema import describe
-from daq_service.settings.stored import KeyPath
+from daq_service.settings.stored import KeyPath, flattened
 
 WIDTH = 118
 COMMENT_COLUMN = 40
 """Comments begin here, or above a key that reaches further."""
-_BARE_KEY = re.compile(r"[A-Za-z0-9_-]+\Z")
+_BLANK_LINES = re.compile(r"\n{3,}")
 _SWITCHED_OFF = re.compile(r"^#(?=[a-z\[])", re.MULTILINE)
 
 
@@ -27,14 +30,18 @@ def commented_toml(
     Parameters
     ----------
     values
-        Nested tables as a file gives them; order is kept, but for tables behind the keys beside them.
+        Nested tables as a file gives them; order is kept, but tables follow the keys next to them.
     head
-        What a person reads first, without comment signs.
+        First comment of the file, without comment signs.
     switched_off
-        Tables whose lines begin with a ``#``: taking these away switches them on.
+        Tables whose lines begin with a ``#``: without these signs they are switched on.
     """
     lines = ["#:schema ./settings.schema.json", *(f"# {line}".rstrip() for line in head.splitlines()), ""]
-    return "\n".join([*lines, *_table(values, (), switched_off, set())]) + "\n"
+    document = tomlkit.document()
+    for name, item in _table(values, (), set()).items():
+        document.append(name, item)
+    text = _BLANK_LINES.sub("\n\n", tomlkit.dumps(document))
+    return "\n".join([*lines, *_switch_off(text.split("\n"), switched_off)])
 
 
 def switched_on(text: str) -> str:
@@ -42,65 +49,71 @@ def switched_on(text: str) -> str:
     return _SWITCHED_OFF.sub("", text)
 
 
-def _table(
-    values: Mapping[str, Any], path: KeyPath, switched_off: Collection[KeyPath], described: set[str]
-) -> Iterator[str]:
-    def new_description(*name: str) -> str:
-        """Return the description of a key, empty if it appeared before."""
+def _switch_off(lines: list[str], tables: Collection[KeyPath]) -> Iterator[str]:
+    """Comment the keys and headers of these tables out; descriptions stay as they are."""
+    off = False
+    for line in lines:
+        if line.startswith("["):
+            path = next(iter(flattened(tomllib.loads(f"{line}\nkey = 0"))))
+            off = any(path[: len(table)] == table for table in tables)
+        yield f"#{line}" if off and line and not line.lstrip().startswith("#") else line
+
+
+def _table(values: Mapping[str, Any], path: KeyPath, described: set[str]) -> Table:
+    """Return a table with the description of each key that did not appear before."""
+
+    def description(*name: str) -> str:
         text = describe((*path, *name))
         new = text not in described
         described.add(text)
         return text if new else ""
 
     tables = {name: value for name, value in values.items() if isinstance(value, Mapping) and value}
-    is_off = any(path[: len(table)] == table for table in switched_off)
-    keys = [name for name in values if name not in tables]
-    if path and keys:
-        yield from ("", *_comment(new_description()))
-        yield f"{'#' * is_off}[{'.'.join(map(_key, path))}]"
-    for name in keys:
-        for line in _assignment(name, values[name], new_description(name)):
-            # A description stays what it is: only what a reader of TOML would see is switched off.
-            yield line if line.lstrip().startswith("#") else f"{'#' * is_off}{line}"
+    keys = {name: value for name, value in values.items() if name not in tables}
+    table = tomlkit.table(is_super_table=not keys)
+    above = _comment(description()) if path and keys else []
+    for name, value in keys.items():
+        item = _item(value)
+        table.append(name, item)
+        _describe(item, f"{tomlkit.key(name).as_string()} = {item.as_string()}", description(name))
     for name, value in tables.items():
-        yield from _table(value, (*path, name), switched_off, described)
+        table.append(name, _table(value, (*path, name), described))
+    # Last: tomlkit indents what is appended like the header.
+    table.trivia.indent = "\n".join(["", *above, ""])
+    return table
 
 
-def _assignment(name: str, value: object, description: str) -> Iterator[str]:
-    text = f"{_key(name)} = {_value(value)}"
-    if len(text) > COMMENT_COLUMN - 2:
-        yield from (*_comment(description), text)
+def _describe(item: Item, assignment: str, description: str) -> None:
+    """Add a comment after the assignment, or above a long one."""
+    if len(assignment) > COMMENT_COLUMN - 2:
+        item.trivia.indent = "".join(f"{line}\n" for line in _comment(description))
         return
     first, *rest = _comment(description, WIDTH - COMMENT_COLUMN) or [""]
-    yield f"{text:<{COMMENT_COLUMN}}{first}".rstrip()
-    yield from (f"{'':<{COMMENT_COLUMN}}{line}" for line in rest)
+    item.trivia.comment_ws = " " * (COMMENT_COLUMN - len(assignment)) if first else ""
+    item.trivia.comment = first
+    item.trivia.trail = "\n".join(["", *(f"{'':<{COMMENT_COLUMN}}{line}" for line in rest), ""])
 
 
 def _comment(text: str, width: int = WIDTH) -> list[str]:
     return [f"# {line}" for line in textwrap.wrap(text, width - 2, break_on_hyphens=False)]
 
 
-def _key(name: str) -> str:
-    return name if _BARE_KEY.match(name) else _string(name)
-
-
-def _string(text: str) -> str:
-    # What JSON escapes TOML escapes alike; DEL, which JSON lets pass, TOML does not.
-    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007f")
-
-
-def _value(value: object) -> str:
+def _item(value: object) -> Item:
+    """Return a value as TOML; a float in powers of 1000 where that is shorter."""
     match value:
-        case str():
-            return _string(value)
-        case bool():
-            return str(value).lower()
         case float():
             powers = Decimal(repr(value)).normalize().to_eng_string().replace("E+", "e")
-            return min(powers if "e" in powers else repr(value), repr(value), key=len)
+            text = min(powers if "e" in powers else repr(value), repr(value), key=len)
+            return Float(value, Trivia(), text)
         case Mapping():
-            return f"{{ {', '.join(f'{_key(name)} = {_value(below)}' for name, below in value.items())} }}"
+            inline = tomlkit.inline_table()
+            for name, inner in value.items():
+                inline.append(name, _item(inner))
+            return inline
         case list() | tuple():
-            return f"[{', '.join(map(_value, value))}]"
+            array = tomlkit.array()
+            for inner in value:
+                array.append(_item(inner))
+            return array
         case _:
-            return str(value)
+            return tomlkit.item(value)

@@ -107,7 +107,7 @@ def _refuse_placeholders(values: Mapping[str, object], path: Path) -> None:
         )
 
 
-def _resolve_recording(values: dict[str, object], path: Path) -> None:
+def _resolve_recording(values: dict[str, Any], path: Path) -> None:
     """Make the source of a playback absolute, relative to the configuration file."""
     rig = values.get("rig")
     playback = rig.get("playback") if isinstance(rig, dict) else None
@@ -116,7 +116,7 @@ def _resolve_recording(values: dict[str, object], path: Path) -> None:
         values["rig"] = {**values["rig"], "playback": {**playback, "source": source}}
 
 
-def _resolve_files(values: dict[str, object], path: Path) -> None:
+def _resolve_files(values: dict[str, Any], path: Path) -> None:
     """Make the files of web service and receivers absolute, relative to the configuration file."""
     web = values.get("web")
     if isinstance(web, dict):
@@ -133,7 +133,7 @@ def _resolve_files(values: dict[str, object], path: Path) -> None:
         values["notifications"] = notifications | {"receivers": found}
 
 
-def _with_absolute_files(path: Path, table: dict[str, object], keys: Sequence[str]) -> dict[str, object]:
+def _with_absolute_files(path: Path, table: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
     """Make the files that some keys name absolute."""
     files = {key: table[key] for key in keys if isinstance(table.get(key), str) and table[key]}
     return table | {key: str(path.absolute().parent / file) for key, file in files.items()}
@@ -153,7 +153,7 @@ def _refuse_unknown_variables() -> None:
                 )
 
 
-def _merge(values: Mapping[str, object], overrides: Mapping[str, object]) -> dict[str, object]:
+def _merge(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     merged = dict(values)
     for key, value in overrides.items():
         below = merged.get(key)
@@ -163,7 +163,7 @@ def _merge(values: Mapping[str, object], overrides: Mapping[str, object]) -> dic
     return merged
 
 
-def _explain(problems: Sequence[Mapping[str, object]], keys: Sequence[str], path: Path) -> str:
+def _explain(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: Path) -> str:
     """Return a message with every rejected value: file, key, value, bound, remedy."""
     refused = {problem["loc"] for problem in problems}
     lines = []

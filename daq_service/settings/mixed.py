@@ -32,11 +32,11 @@ class InstrumentSettings(BaseModel):
     """What it is: `daqmx`, `niscope`, or a name that an installed package offers."""
 
     @property
-    def parameters(self) -> dict[str, object]:
+    def parameters(self) -> dict[str, Any]:
         """Return the parameters of its kind, as plain values."""
         return self.model_dump(mode="json", exclude={"kind"})
 
-    def measured(self) -> dict[str, object]:
+    def measured(self) -> dict[str, Any]:
         """Return the parameters that affect the data: all but the address of the instrument."""
         try:
             kind, _ = find_kind(self.kind)

@@ -65,7 +65,7 @@ def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
     return nested(before | {path: value for path, value in moved if path})
 
 
-def differences(stored: Mapping[str, object], given: Settings) -> list[str]:
+def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
     """Return the differences in meaning between a stored configuration and the given one, by key.
 
     Parameters
@@ -125,7 +125,7 @@ def _with_current_defaults(settings: Settings) -> Settings:
         return settings
 
 
-def _unknown(values: Mapping[str, object]) -> set[KeyPath]:
+def _unknown(values: Mapping[str, Any]) -> set[KeyPath]:
     try:
         _Stored(**values)
     except ValidationError as error:
@@ -135,7 +135,7 @@ def _unknown(values: Mapping[str, object]) -> set[KeyPath]:
 
 
 def _is_hashed_out(path: KeyPath) -> bool:
-    below: object = HASHED_OUT
+    below: Any = HASHED_OUT
     for name in path:
         if name not in below:
             return False
@@ -166,18 +166,18 @@ def _value(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
     return json.dumps(flat[path]) if path in flat else "no value"
 
 
-def flattened(values: Mapping[str, object], above: KeyPath = ()) -> dict[KeyPath, object]:
+def flattened(values: Mapping[str, Any], above: KeyPath = ()) -> dict[KeyPath, Any]:
     """Return the values by the path of each key; an empty table and a list count as values."""
-    flat: dict[KeyPath, object] = {}
+    flat: dict[KeyPath, Any] = {}
     for name, value in values.items():
         below = isinstance(value, Mapping) and value
         flat |= flattened(value, (*above, name)) if below else {(*above, name): value}
     return flat
 
 
-def nested(values: Mapping[KeyPath, object]) -> dict[str, object]:
+def nested(values: Mapping[KeyPath, Any]) -> dict[str, Any]:
     """Return nested tables from values by path; the inverse of `flattened`."""
-    tree: dict[str, object] = {}
+    tree: dict[str, Any] = {}
     for path, value in values.items():
         below = tree
         for name in path[:-1]:

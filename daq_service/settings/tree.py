@@ -37,7 +37,7 @@ log = logging.getLogger(__name__)
 FILLED_AT_MOST = 0.99
 """Of the time from set to set by strikes: a set that fills all of it begins later each time, until one is
 missed."""
-HASHED_OUT: Mapping[str, object] = {
+HASHED_OUT: Mapping[str, Any] = {
     "web": True,
     "notifications": True,
     "clock": {"pace_h_per_s", "doubt_after_h"},

@@ -6,6 +6,7 @@ from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from fastapi import APIRouter, Depends, FastAPI
 from starlette.middleware.gzip import GZipMiddleware
@@ -95,7 +96,7 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 class Service(FastAPI):
     """FastAPI whose errors are problem details, and whose description knows them."""
 
-    def __init__(self, **options: object) -> None:
+    def __init__(self, **options: Any) -> None:
         super().__init__(
             openapi_url="/api/v1/openapi.json",
             # Their pages load scripts from elsewhere; this service works offline.
@@ -106,7 +107,7 @@ class Service(FastAPI):
         )
         problem.install(self)
 
-    def openapi(self) -> dict[str, object]:
+    def openapi(self) -> dict[str, Any]:
         """Return the OpenAPI 3.1 description of the interface."""
         if self.openapi_schema is None:
             document = super().openapi()
@@ -132,7 +133,7 @@ def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False
     return app
 
 
-def application_of_test(**options: object) -> Service:
+def application_of_test(**options: Any) -> Service:
     """Return an application with the routes of a test; `context.context_at` selects the test of a request."""
     app = Service(
         title="solimon",

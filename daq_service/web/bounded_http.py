@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import time
 from http import HTTPStatus
+from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
@@ -24,7 +25,7 @@ class BoundedHttp(HttpToolsProtocol):
     Its own answers are plain text; a request with complete headers is answered by the application.
     """
 
-    def __init__(self, *arguments: object, **options: object) -> None:
+    def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self._headers_bytes, self._in_headers = 0, True
         self._since_s, self._n_checks = 0.0, 0

@@ -193,7 +193,7 @@ class Freshness(freshness.Freshness):
     def _baselines(self) -> dict[int, BaselineRow]:
         return self._catalogue.baselines_by_id()
 
-    def as_of(self) -> dict[str, object]:
+    def as_of(self) -> dict[str, Any]:
         """Return the part `as_of` of an answer."""
         return {
             "clock": self.clock,

@@ -383,7 +383,7 @@ class ShotModel:
         time_s = self._step_s * np.arange(samples, dtype=np.float64)
         forces: dict[int, ShotForce] = {}
         pending = list(range(len(chains)))
-        for halving, wide in self._attempts():
+        for halving, wide in _attempts(modal=self._modal_plate is not None):
             every = 2**halving
             step = self._step_s / every
             records = integrate(
@@ -418,13 +418,6 @@ class ShotModel:
             f"of {step:.3g} s; at most {self._energy_tolerance} is allowed; look for an extreme mass, "
             "stiffness or damping"
         )
-
-    def _attempts(self) -> Iterator[tuple[int, bool]]:
-        """Return halvings of the step, and whether to keep modes up to `WIDE_CUT_PHASE_RAD`."""
-        for halving in range(STEP_HALVINGS + 1):
-            yield halving, False
-            if halving and self._modal_plate is not None:
-                yield halving, True
 
     def _propagator(self, depth: float, step: float, wide: bool, modulus: float) -> Propagator:
         if self._modal_plate is None:
@@ -479,3 +472,11 @@ def _no_patch(model: str, depth: float) -> str:
         f"depth_fraction is {depth}, but a plate of model {model} has no patch; "
         f"use depth 0 or plate.model = 'mindlin' or 'solid'"
     )
+
+
+def _attempts(*, modal: bool) -> Iterator[tuple[int, bool]]:
+    """Return halvings of the step, and whether to keep modes up to `WIDE_CUT_PHASE_RAD`."""
+    for halving in range(STEP_HALVINGS + 1):
+        yield halving, False
+        if halving and modal:
+            yield halving, True

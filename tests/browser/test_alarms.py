@@ -3,7 +3,7 @@
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import dashboard, expect, watched_pages
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served
 from support.waiting import until
 
@@ -16,20 +16,19 @@ N_SETS = 52
 
 @pytest.fixture(scope="module")
 def service(tmp_path_factory):
-    filled = FilledFolder(tmp_path_factory.mktemp("ended"), Settings(clock={"pace_h_per_s": 5.0}))
-    for index in range(N_SETS):
-        filled.add_set(index, stored=False)
-    for position in "BCD":
-        filled.add_alarm(position, N_SETS - 2)
-    filled.add_alarm(None, N_SETS - 1, severity="low", kind="disk_space", message="little is free")
-    thin = {"set_index": N_SETS - 2, "thickness_m": 6.2e-3, "limit_m": 6.3e-3, "rule": {"k": 3, "n": 5}}
-    filled.add_alarm("A", N_SETS - 2, kind="thickness", proof=thin)
-    poor = {"set_index": N_SETS - 2, "poor_sets_running": 2, "minimum_valid_shots": 7}
-    filled.add_alarm("D", N_SETS - 2, kind="no_data", severity="medium", proof=poor)
-    hole = {"set_index": N_SETS - 2, "shots_without_psw": 10, "rule": {"shots": 7, "consecutive_sets": 2}}
-    filled.add_alarm("C", N_SETS - 2, kind="hole", proof=hole)
-    filled.say("schedule_done", filled.due[-1].due_utc_ns)
-    filled.close()
+    with filled_folder(
+        tmp_path_factory.mktemp("ended"), Settings(clock={"pace_h_per_s": 5.0}), sets=N_SETS
+    ) as filled:
+        for position in "BCD":
+            filled.add_alarm(position, N_SETS - 2)
+        filled.add_alarm(None, N_SETS - 1, severity="low", kind="disk_space", message="little is free")
+        thin = {"set_index": N_SETS - 2, "thickness_m": 6.2e-3, "limit_m": 6.3e-3, "rule": {"k": 3, "n": 5}}
+        filled.add_alarm("A", N_SETS - 2, kind="thickness", proof=thin)
+        poor = {"set_index": N_SETS - 2, "poor_sets_running": 2, "minimum_valid_shots": 7}
+        filled.add_alarm("D", N_SETS - 2, kind="no_data", severity="medium", proof=poor)
+        hole = {"set_index": N_SETS - 2, "shots_without_psw": 10, "rule": {"shots": 7, "consecutive_sets": 2}}
+        filled.add_alarm("C", N_SETS - 2, kind="hole", proof=hole)
+        filled.say("schedule_done", filled.due[-1].due_utc_ns)
     with served(filled.settings, filled.folder) as running:
         yield running
 

@@ -9,7 +9,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 from support.browser_pages import PHONE, dashboard, expect, query, watched_pages
-from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
+from support.filled_folder import LIMIT_CHART, FilledFolder, filled_folder, frozen_baseline
 from support.served_web import served, served_app
 from support.waiting import until
 
@@ -31,12 +31,11 @@ SETTINGS = Settings(clock={"pace_h_per_s": 5.0})
 @pytest.fixture(scope="module")
 def history(tmp_path_factory):
     """Return a folder that tests only read."""
-    folder = FilledFolder(tmp_path_factory.mktemp("history"), SETTINGS)
-    for index in range(N_SETS):
-        folder.add_set(index, stored=False, shown=index == N_SETS - 1)
-    # The limit of the chart is the baseline's.
-    folder.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(position) for position in "BCD"]))
-    folder.close()
+    with filled_folder(tmp_path_factory.mktemp("history"), SETTINGS) as folder:
+        for index in range(N_SETS):
+            folder.add_set(index, stored=False, shown=index == N_SETS - 1)
+        # The limit of the chart is the baseline's.
+        folder.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(position) for position in "BCD"]))
     return folder.folder
 
 
@@ -44,9 +43,8 @@ def history(tmp_path_factory):
 def filled(history, tmp_path):
     """Return a copy of it that a recorder continues."""
     shutil.copytree(history, tmp_path, dirs_exist_ok=True)
-    folder = FilledFolder(tmp_path, SETTINGS, exists=True)
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path, SETTINGS, exists=True) as folder:
+        yield folder
 
 
 @pytest.fixture(scope="module")
@@ -66,10 +64,8 @@ def ordered(history, tmp_path_factory):
     """Return another copy, of which no test takes a set."""
     place = tmp_path_factory.mktemp("ordered") / "data"
     shutil.copytree(history, place)
-    folder = FilledFolder(place, SETTINGS, exists=True)
-    with served(SETTINGS, place) as running:
+    with filled_folder(place, SETTINGS, exists=True) as folder, served(SETTINGS, place) as running:
         yield folder, running
-    folder.close()
 
 
 @pytest.fixture(scope="module")
@@ -187,27 +183,26 @@ def test_new_sets_appear_without_a_reload(filled, service, open_page):
 
 def test_a_baseline_that_is_assessed_later_is_drawn_again(tmp_path, open_page):
     """Distances of the baseline's sets become known, all at once, when it is complete."""
-    filled = FilledFolder(tmp_path, Settings())
-    for index in range(3):
-        filled.add_set(index, stored=False, assessed=False)
-    with served(filled.settings, tmp_path) as service:
-        page = open_page(service.url)
-        expect(page.locator("#tof")).to_have_attribute("data-points", "3")
-        expect(page.locator("#distance")).to_have_attribute("data-points", "0")
-        due = filled.due[2]
-        event = EventRow(
-            utc_ns=due.due_utc_ns,
-            topic="verdicts",
-            kind="baseline_frozen",
-            position="B",
-            set_index=2,
-            payload={},
-        )
-        assessments = [filled.assessment("B", index, filled.due[index].due_h) for index in range(3)]
-        filled.catalogue.commit_set(SetCommit(assessments=assessments, events=[event]))
-        expect(page.locator("#distance")).to_have_attribute("data-points", "3")
-        page.close()  # it reads fits, too
-    filled.close()
+    with filled_folder(tmp_path) as filled:
+        for index in range(3):
+            filled.add_set(index, stored=False, assessed=False)
+        with served(filled.settings, tmp_path) as service:
+            page = open_page(service.url)
+            expect(page.locator("#tof")).to_have_attribute("data-points", "3")
+            expect(page.locator("#distance")).to_have_attribute("data-points", "0")
+            due = filled.due[2]
+            event = EventRow(
+                utc_ns=due.due_utc_ns,
+                topic="verdicts",
+                kind="baseline_frozen",
+                position="B",
+                set_index=2,
+                payload={},
+            )
+            assessments = [filled.assessment("B", index, filled.due[index].due_h) for index in range(3)]
+            filled.catalogue.commit_set(SetCommit(assessments=assessments, events=[event]))
+            expect(page.locator("#distance")).to_have_attribute("data-points", "3")
+            page.close()  # it reads fits, too
 
 
 def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, service, open_page):
@@ -458,19 +453,18 @@ def test_a_restart_of_service_and_recorder_is_shown_and_loses_no_event(filled, o
     # No service runs: the page gets these events afterwards, the recorder's restart too.
     filled.add_set(N_SETS, stored=False)
     filled.recorder_ends()
-    again = FilledFolder(filled.folder, SETTINGS, exists=True)
-    again.say("recorder_started", filled.due[N_SETS].due_utc_ns)
-    again.add_alarm("B", N_SETS)
-    with served(filled.settings, filled.folder, port=port):
-        expect(page.locator("#connection")).to_have_text("Live")
-        wait_for_sets(page, N_SETS + 1)
-        until(lambda: dashboard(page, "alarms"), "the alarm of meanwhile is told")
-        again.add_set(N_SETS + 1, stored=False)
-        wait_for_sets(page, N_SETS + 2)
-        newest = again.catalogue.last_event_id()
-        until(lambda: dashboard(page, "lastEventId") == newest, "it has heard all events")
-        expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "false")
-    again.close()
+    with filled_folder(filled.folder, SETTINGS, exists=True) as again:
+        again.say("recorder_started", filled.due[N_SETS].due_utc_ns)
+        again.add_alarm("B", N_SETS)
+        with served(filled.settings, filled.folder, port=port):
+            expect(page.locator("#connection")).to_have_text("Live")
+            wait_for_sets(page, N_SETS + 1)
+            until(lambda: dashboard(page, "alarms"), "the alarm of meanwhile is told")
+            again.add_set(N_SETS + 1, stored=False)
+            wait_for_sets(page, N_SETS + 2)
+            newest = again.catalogue.last_event_id()
+            until(lambda: dashboard(page, "lastEventId") == newest, "it has heard all events")
+            expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "false")
 
 
 WRITTEN = """() => {

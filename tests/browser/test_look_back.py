@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import DESK, PHONE, at_hour, dashboard, expect, query, show, watched_pages
-from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
-from support.served_web import served
+from support.filled_folder import LIMIT_CHART, filled_folder, frozen_baseline
 from support.waiting import until
 
 from daq_service.assessment.baseline_lifecycle import renew
@@ -32,31 +31,24 @@ RENEWED = 50
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     """Return one test that all tests of the module extend: each adds sets and counts from there."""
-    folder = FilledFolder(tmp_path_factory.mktemp("back"), SETTINGS, shots_per_set=SHOTS)
-    make_assessment = folder.assessment
+    with filled_folder(tmp_path_factory.mktemp("back"), SETTINGS, shots_per_set=SHOTS) as folder:
+        make_assessment = folder.assessment
 
-    def with_an_outlier(position, index, hour):
-        row = make_assessment(position, index, hour)
-        if position == "D" and index >= RENEWED:
-            return replace(row, in_baseline=True, chart=None)
-        if (position, index) != ("B", OUTLIER):
-            return row
-        return replace(row, distance_squared=400.0, outlier=True, outlier_paper=True)
+        def with_an_outlier(position, index, hour):
+            row = make_assessment(position, index, hour)
+            if position == "D" and index >= RENEWED:
+                return replace(row, in_baseline=True, chart=None)
+            if (position, index) != ("B", OUTLIER):
+                return row
+            return replace(row, distance_squared=400.0, outlier=True, outlier_paper=True)
 
-    folder.assessment = with_an_outlier
-    for index in range(N_SETS):
-        # The ghost is some set of the baseline: all of these have their records.
-        folder.add_set(index, stored=index < 48 or index in STORED)
-    folder.add_alarm("C", LAST - 1)
-    folder.add_environment(LAST)
-    yield folder
-    folder.close()
-
-
-@pytest.fixture(scope="module")
-def service(filled):
-    with served(filled.settings, filled.folder) as running:
-        yield running
+        folder.assessment = with_an_outlier
+        for index in range(N_SETS):
+            # The ghost is some set of the baseline: all of these have their records.
+            folder.add_set(index, stored=index < 48 or index in STORED)
+        folder.add_alarm("C", LAST - 1)
+        folder.add_environment(LAST)
+        yield folder
 
 
 def wait_for(page, points=1):

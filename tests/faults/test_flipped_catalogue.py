@@ -22,7 +22,7 @@ from daq_service.catalogue.history import parse_lines
 from daq_service.catalogue.rows import Row
 from daq_service.catalogue.tables import KINDS
 from daq_service.errors import StorageError
-from daq_service.recording.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild
 
 REBUILT_EVERY = 40
 """Of the damaged catalogues: making one again takes as long as fifty looks."""

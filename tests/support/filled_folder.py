@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 
+import httpx
 import numpy as np
 
 from analysis.waves.features import FEATURE_NAMES, extract_features
@@ -40,6 +42,7 @@ from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 from support.empty_catalogue import empty_catalogue
 from support.filed_archive import FiledArchive
+from support.served_web import served
 from support.synthetic_records import Scene
 
 N_BASELINE = 48
@@ -517,3 +520,30 @@ class FilledFolder:
             )
             for topic, kind in kinds
         ]
+
+
+@contextmanager
+def filled_folder(
+    folder: Path, settings: Settings | None = None, *, sets: int = 0, stored: bool = False, **options: object
+) -> Iterator[FilledFolder]:
+    """Yield a folder with that many sets, with their records where ``stored``; close it at the end."""
+    filled = FilledFolder(folder, settings or Settings(), **options)
+    try:
+        for index in range(sets):
+            filled.add_set(index, stored=stored)
+        yield filled
+    finally:
+        filled.close()
+
+
+@contextmanager
+def served_folder(
+    folder: Path, *arguments: object, **options: object
+) -> Iterator[tuple[FilledFolder, httpx.Client]]:
+    """Yield a filled folder and a client of its web service."""
+    with (
+        filled_folder(folder, *arguments, **options) as filled,
+        served(filled.settings, folder) as service,
+        service.client() as client,
+    ):
+        yield filled, client

@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from daq_service.archive.layout import build_image
+from daq_service.assessment.results_in_file import results_in
 from daq_service.catalogue.experiment_file import keep_experiment
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import EventRow, SetRow
 from hardware_drivers.measurement import ShotKey
 from support.filed_archive import FiledArchive
 from support.memory_line import Answer, Line, healthy, silent
+from support.stored_files import read_set
 
 ORDERS: dict[tuple[str, int, int], tuple[str, dict[str, Any]]] = {
     ("B", 1, 1): ("disable", {"position": "C", "note": "a loose cable"}),
@@ -38,6 +42,8 @@ def run(line: Line, **options: Any) -> None:
     archive.close()
     with line.catalogue(writer=True) as catalogue:
         for set_index, file in catalogue.without_digest().items():
+            path = line.folder / file  # with a copy of its results, as the recorder's worker makes it
+            path.write_bytes(build_image(replace(read_set(path), results=results_in(catalogue, set_index))))
             catalogue.set_digest(set_index, file, archive.digest(file))
         keep_experiment(line.folder, catalogue.experiment_row())
         HistoryFollower(line.folder, catalogue).begin()

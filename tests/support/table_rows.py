@@ -23,6 +23,12 @@ def table_rows(folder: Path, *tables: str) -> Rows:
         }
 
 
+def forget_states(folder: Path) -> None:
+    """Delete the states of assessors, as in a folder of a version that stored none."""
+    with closing(sqlite3.connect(folder / FILE_NAME)) as database, database:
+        database.execute("DELETE FROM assessor_states")
+
+
 def lose_catalogue(folder: Path, *others: str) -> None:
     """Remove the catalogue with the files of SQLite, and other files."""
     for path in (*folder.glob("catalogue*.sqlite*"), *(folder / name for name in others)):

@@ -68,7 +68,7 @@ class Frame:
     counts: bytes
     sound: bool
 
-    def read_facts(self) -> dict[str, object]:
+    def read_facts(self) -> dict[str, Any]:
         """Return the facts as a dictionary."""
         facts: dict[str, Any] = json.loads(self.facts)
         return facts
@@ -234,7 +234,7 @@ def record_of(frame: Frame) -> Shot | PulseEchoRecord:
     facts = frame.read_facts()
     position, shot_index, attempt = facts["key"]
     calibration = facts["calibration"]
-    common: dict[str, object] = {
+    common: dict[str, Any] = {
         "sequence": frame.sequence,
         "key": ShotKey(position=position, set_index=frame.set_index, shot_index=shot_index, attempt=attempt),
         "stamp": Stamp(utc_ns=frame.utc_ns, mono_ns=frame.mono_ns, boot_id=facts["boot_id"]),

@@ -44,7 +44,7 @@ class JournaledSet:
     begin: Frame | None = None
     shots: dict[int, Frame] = field(default_factory=dict)
     missed: dict[ShotKey, MissedRecord] = field(default_factory=dict)
-    end: Mapping[str, object] | None = None
+    end: Mapping[str, Any] | None = None
     last_utc_ns: int = 0
     segments: set[int] = field(default_factory=set)
 
@@ -160,7 +160,7 @@ _PLAIN = (
 )
 
 
-def _missed_record(facts: Mapping[str, object]) -> MissedRecord:
+def _missed_record(facts: Mapping[str, Any]) -> MissedRecord:
     """Return the missed record of an end frame's entry."""
     key = ShotKey(**{name: facts[name] for name in ("position", "set_index", "shot_index", "attempt")})
     return MissedRecord(key=key, cause=facts["cause"], reason=facts["reason"])

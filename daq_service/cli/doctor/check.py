@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 from daq_service import errors
 from daq_service.clock import boot_id
@@ -55,7 +55,7 @@ class Check:
 
     def __post_init__(self) -> None:
         if self.state == "ok":
-            object.__setattr__(self, "remedy", "")
+            Any.__setattr__(self, "remedy", "")
         elif not self.remedy:
             raise ValueError(f"the check {self.name!r} is {self.state!r} and needs a remedy")
 

@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -186,7 +187,7 @@ def _print_table(checks: list[Check], trial: Trial | None) -> None:
 
 def _report(
     settings: Settings, folder: Path, checks: list[Check], trial: Trial | None, code: int
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Return the results for JSON."""
     return {
         "configuration_hash": settings.configuration_hash(),

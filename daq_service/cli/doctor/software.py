@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Iterable
 from importlib.metadata import PackageNotFoundError, requires, version
+from typing import Any
 
 from daq_service.cli.doctor.check import Check
 
@@ -81,7 +82,7 @@ def _package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
     )
 
 
-def _binaries(load: Callable[[str], object]) -> Check:
+def _binaries(load: Callable[[str], Any]) -> Check:
     """Check that the compiled packages load."""
     broken = {}
     for name in COMPILED:

@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from typing import Any
 
 import click
 
@@ -63,7 +64,7 @@ class Trial:
     settings: Mapping[str, float | str] = field(default_factory=dict)
     spike: SpikeSurvey | None = None
 
-    def as_row(self) -> dict[str, object]:
+    def as_row(self) -> dict[str, Any]:
         """Return the result for JSON."""
         features = self.features
         return {

@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import sys
 from functools import partial
+from importlib import import_module
+from typing import Any
 
 import click
 
-from daq_service.cli.groups.options import CONFIG, DATA_DIR, JSON, POSITION, command, option
+from daq_service.cli.groups import options
+from daq_service.cli.groups.options import command, option
 
 REASONS = {
     "pause": (
@@ -22,36 +25,35 @@ REASONS = {
 """Error for a command without its reason, and the question at a terminal."""
 
 SENT = (
-    CONFIG,
-    DATA_DIR,
+    options.CONFIG,
+    options.DATA_DIR,
     option("--note", "--reason", "note", default="", help="Reason; needed to pause and to renew a baseline."),
     option("--author", help="Author of the command; default: this user."),
-    JSON,
+    options.JSON,
 )
-OF_A_TRANSDUCER = (POSITION, *SENT)
+OF_A_TRANSDUCER = (options.POSITION, *SENT)
 
 
-def _send(kind: str, **options: object) -> int:
+def _send(kind: str, *, note: str, **given: Any) -> int:
     """Ask for a missing reason and send the command."""
-    if kind in REASONS and not options["note"].strip():
+    if kind in REASONS and not note.strip():
         message, question = REASONS[kind]
         if not sys.stdin.isatty():
             raise click.UsageError(message)
-        options["note"] = click.prompt(question, err=True)
-    from daq_service.commands.send import send_command
-
-    return send_command(kind, **options)
+        note = click.prompt(question, err=True)
+    code: int = import_module("daq_service.commands.send").send_command(kind, note=note, **given)
+    return code
 
 
 def _switch_supply(
-    on: bool | None, voltage_v: float | None, current_limit_a: float | None, **options: object
+    on: bool | None, voltage_v: float | None, current_limit_a: float | None, note: str, **given: Any
 ) -> int:
     if on is None:
         raise click.UsageError("give --on or --off")
     if not on and (voltage_v is not None or current_limit_a is not None):
         raise click.UsageError("--voltage-v and --current-limit-a belong to --on")
     values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a} if on else {}
-    return _send("supply_on" if on else "supply_off", **values, **options)
+    return _send("supply_on" if on else "supply_off", note=note, **values, **given)
 
 
 pause = command("pause", partial(_send, "pause"), *SENT)

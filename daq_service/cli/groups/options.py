@@ -18,14 +18,14 @@ from daq_service.errors import EXIT_OK
 class _Positive(click.FloatRange):
     """Positive finite number: a range alone accepts infinity and NaN."""
 
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> object:
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no finite number.", param, ctx)
         return number
 
 
-Decorator = Callable[[object], object]
+Decorator = Callable[[Any], Any]
 option, argument, Choice, IntRange = click.option, click.argument, click.Choice, click.IntRange
 
 PATH = click.Path(path_type=Path)
@@ -44,11 +44,15 @@ SEED = option("--seed", type=IntRange(min=0), help="Seed of the twin's random nu
 JSON = option("--json", "as_json", is_flag=True, help="Print one JSON object on standard output.")
 POSITION = option("--position", required=True, help="Position of the transducer, for example B.")
 OVERWRITE = option("--overwrite", is_flag=True, help="Replace files that exist.")
-NO_BROWSER = option("--no-browser", is_flag=True, help="Do not open a browser.")
-PAGE_PORT = option(
-    "--port", type=PORT_NUMBER, default=0, show_default=True, help="Port of the page; 0 takes a free one."
-)
+FILES_JSON = (OVERWRITE, JSON)
+ONE_TEST_JSON = (*ONE_TEST, JSON)
+DATA_JSON = (DATA_DIR_ALONE, JSON)
 NO_WEB = option("--no-web", is_flag=True, help="Start no web page.")
+PAGE = (
+    option("--port", type=PORT_NUMBER, default=0, show_default=True, help="Port; 0 takes a free one."),
+    NO_WEB,
+    option("--no-browser", is_flag=True, help="Do not open a browser."),
+)
 WORKERS = option("--workers", type=IntRange(1, 256), help="Worker count; default: one for each core.")
 OF_A_CHILD = (
     option("--restart-reason", default="", hidden=True),
@@ -87,9 +91,9 @@ def command(
     return build(name, target, *options, text=f"{summary(name)}\n\n{details}")
 
 
-def group(name: str, *, details: str = "") -> click.Group:
+def group(name: str, *commands: click.Command, details: str = "") -> click.Group:
     """Build a command of the registry that has commands of its own."""
-    return click.Group(name, help=f"{summary(name)}\n\n{details}")
+    return click.Group(name, list(commands), help=f"{summary(name)}\n\n{details}")
 
 
 def build(

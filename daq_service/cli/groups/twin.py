@@ -2,29 +2,16 @@
 
 from __future__ import annotations
 
-from daq_service.cli.groups.options import (
-    CONFIG,
-    FILE,
-    FOLDER,
-    JSON,
-    OVERWRITE,
-    PATH,
-    SEED,
-    WORKERS,
-    Choice,
-    command,
-    executor,
-    option,
-    repeated,
-)
+from daq_service.cli.groups import options
+from daq_service.cli.groups.options import command, executor, option, repeated
 
 simulate = command(
     "simulate",
     "simulate:print_simulation",
-    CONFIG,
+    options.CONFIG,
     option(
         "--model",
-        type=Choice(["coupled", "zener"]),
+        type=options.Choice(["coupled", "zener"]),
         default="coupled",
         help="coupled: chain and plate together (default); zener: the last sphere strikes a large plate.",
     ),
@@ -39,33 +26,34 @@ simulate = command(
         "KEY=VALUES",
         "Values of a key: a,b,c or first:last:count or log:first:last:count; several make a grid.",
     ),
-    option("--sweep-file", type=FILE, help="CSV file: a header of keys, then one row per shot."),
+    option("--sweep-file", type=options.FILE, help="CSV file: a header of keys, then one row per shot."),
     option("--zip", "element_wise", is_flag=True, help="Combine first values, then second ones: no grid."),
     option("--skip-invalid", is_flag=True, help="Keep invalid combinations as rows with their reason."),
     option(
         "--out",
         "outputs",
         multiple=True,
-        type=PATH,
+        type=options.PATH,
         help="File of the sweep's table: .csv, .h5 or .parquet; may be given several times.",
     ),
     option("--waveforms", is_flag=True, help="Also store the forces at the sensor (.h5 only)."),
-    WORKERS,
+    options.WORKERS,
     executor("Default: threads for a short sweep, processes for a long one; a cluster needs the extra."),
-    OVERWRITE,
-    JSON,
+    *options.FILES_JSON,
 )
 reproduce = command(
     "reproduce",
     "reproduce.run:reproduce",
-    option("--out", type=FOLDER, help="Folder for figures, tables and report; default: a new one here."),
+    option(
+        "--out", type=options.FOLDER, help="Folder for figures, tables and report; default: a new one here."
+    ),
     option(
         "--from",
         "data_dir",
-        type=FOLDER,
+        type=options.FOLDER,
         help="Data folder of a test; default: the paper's test is run on the twin.",
     ),
     option("--only", metavar="NAMES", help="Only these, for example fig12,table2."),
-    SEED,
-    JSON,
+    options.SEED,
+    options.JSON,
 )

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import NoneType
-from typing import TypeVar, get_args
+from typing import Any, TypeVar, get_args
 
 import numpy as np
 
@@ -23,7 +23,6 @@ from daq_service.archive.consolidated import (
     consolidated_image,
     group_names_of,
 )
-from daq_service.archive.records import TEMPORARY_SUFFIX
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.rows import (
@@ -36,10 +35,10 @@ from daq_service.catalogue.rows import (
     columns_of,
 )
 from daq_service.clock import format_utc
-from daq_service.errors import StorageError, StorageUnavailableError, UsageError
+from daq_service.errors import StorageError, UsageError
 from daq_service.processes.data_folder import OWN_NAMES
 from daq_service.processes.lost_catalogue import lost_reason
-from daq_service.shared_file import write_durably
+from daq_service.shared_file import write_output
 from hardware_drivers.methods import PULSE_ECHO
 
 R = TypeVar("R", bound=Row)
@@ -125,12 +124,7 @@ def export_hdf5(
         )
         sets = {name: _set_columns(catalogue, name, found) for name, found in rows.items() if found}
     image = consolidated_image(target, folder, facts, shots, sets)
-    try:
-        write_durably(target, image, temporary=target.with_name(f"{target.name}{TEMPORARY_SUFFIX}"))
-    except OSError as error:
-        raise StorageUnavailableError(
-            f"{target} cannot be written: {error}; free or mend the disk"
-        ) from error
+    write_output(target, image)
     return Exported(
         file=str(target),
         n_bytes=len(image),
@@ -201,7 +195,7 @@ def _shot_columns(
     parts = []
     for start in range(0, len(blocks), _SETS_AT_ONCE):
         step = blocks[start : start + _SETS_AT_ONCE]
-        filters: dict[str, object] = {"position": sampling.position}
+        filters: dict[str, Any] = {"position": sampling.position}
         filters |= {"first_set": step[0].set_index, "last_set": step[-1].set_index}
         shots = {row.sequence: row for row in catalogue.rows(ShotRow, **filters)}
         results = {row.sequence: row for row in catalogue.rows(kind, **filters)}
@@ -228,12 +222,12 @@ def _set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) ->
         parts = []
         for start in range(0, len(sets), _SETS_AT_ONCE):
             step = sets[start : start + _SETS_AT_ONCE]
-            filters: dict[str, object] = {
+            filters: dict[str, Any] = {
                 "position": position,
                 "scope": "set" if kind is FeatureRow else None,
             }
             filters |= {"first_set": step[0].set_index, "last_set": step[-1].set_index}
-            results: dict[int, object] = {row.set_index: row for row in catalogue.rows(kind, **filters)}  # type: ignore[attr-defined] # each of these kinds has one
+            results: dict[int, Any] = {row.set_index: row for row in catalogue.rows(kind, **filters)}  # type: ignore[attr-defined] # each of these kinds has one
             parts.append(_columns([results.get(row.set_index) for row in step], kind, _results_of(kind)))
         columns |= {name: _joined([part[name] for part in parts]) for name in parts[0]}
     return columns
@@ -254,7 +248,7 @@ def _columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) 
     }
 
 
-def _column(values: list[object], of_type: object) -> Column:
+def _column(values: list[Any], of_type: Any) -> Column:
     """Return a column as array or texts."""
     nullable = NoneType in get_args(of_type)
     plain = next(kind for kind in get_args(of_type) if kind is not NoneType) if nullable else of_type

@@ -9,9 +9,9 @@ from pathlib import Path
 from daq_service.archive import FolderSetReader
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.cli.maintenance.export import refuse_target
-from daq_service.errors import StorageUnavailableError, UsageError
+from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
-from daq_service.shared_file import write_durably
+from daq_service.shared_file import write_output
 from daq_service.web.tables.choice import Choice
 from daq_service.web.tables.export import exported
 from daq_service.web.tables.formats import FORMATS
@@ -92,13 +92,7 @@ def _write(
             raise UsageError(f"there is no position {position!r}; choose from {', '.join(positions)}")
         fresh = Freshness(folder, catalogue, experiment.clock)
         for target, form in zip(targets, forms, strict=True):
-            parts = make(catalogue, fresh, form)
-            try:
-                write_durably(target, parts, temporary=target.with_name(f"{target.name}.part"))
-            except OSError as error:
-                raise StorageUnavailableError(
-                    f"{target} cannot be written: {error}; free or mend the disk"
-                ) from error
+            write_output(target, make(catalogue, fresh, form))
             files.append(ExportedTable(file=str(target), table=table, n_bytes=target.stat().st_size))
     return files
 

@@ -2,38 +2,29 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from dataclasses import asdict
 from pathlib import Path
 
-import click
-
+from daq_service.cli.terminal import print_progress_of_sets
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.printing import print_result
 
 
 def print_rebuilt(*, data_dir: Path, as_json: bool) -> None:
     """Rebuild the catalogue and print the result; progress goes to standard error."""
-    from daq_service.recording.rebuild import rebuild
+    from daq_service.recording.reassessment.rebuild import rebuild
 
     folder = data_dir.absolute()
     prepare_data_folder(folder, may_create=False)
     # Old alarms are raised again, which is of no interest here.
     logging.getLogger("daq_service.recording.set_assessor").addHandler(logging.NullHandler())
 
-    def progress(done: int, total: int) -> None:
-        click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)
-
     with own_data_folder(folder):
-        built = rebuild(folder, progress=progress)
-    if as_json:
-        click.echo(json.dumps(asdict(built)))
-        return
-    click.echo(
-        f"{built.experiment}: {built.sets} sets judged again, {built.events} events, {built.orders} orders"
-    )
-    for warning in built.warnings:
-        click.echo(f"warning: {warning}")
-    click.echo(
-        f"the old catalogue is kept as {built.kept}" if built.kept else "there was no catalogue before"
-    )
+        built = rebuild(folder, progress=print_progress_of_sets)
+    lines = [
+        f"{built.experiment}: {built.sets} sets, {built.events} events, {built.orders} orders",
+        *(f"warning: {warning}" for warning in built.warnings),
+        f"the old catalogue is kept as {built.kept}" if built.kept else "there was no catalogue before",
+    ]
+    print_result(asdict(built), lines, as_json=as_json)

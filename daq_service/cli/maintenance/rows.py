@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from daq_service.acquisition.taken_set import n_missed, n_restrikes
 from daq_service.archive import SetRecord, SetReference
@@ -14,7 +15,7 @@ from daq_service.assessment.transaction import shot_row
 from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, ThicknessRow, values
 from hardware_drivers.methods import PULSE_ECHO
 
-Found = Mapping[str, object]
+Found = Mapping[str, Any]
 """A row of the catalogue: column to value."""
 _ASSESSED_COLUMNS = ("valid", "flags")
 """Columns of a shot that do not follow from its record alone."""
@@ -87,7 +88,7 @@ def differing(
         )
 
 
-def _known(kind: type[Row], row: Found) -> dict[str, object]:
+def _known(kind: type[Row], row: Found) -> dict[str, Any]:
     """Return the columns that a kind of row has."""
     return {name: row[name] for name in kind.__slots__ if name in row}
 

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -65,8 +66,8 @@ def run_assess(
         )
     with _mapped(tables) as mapped:
         assess_table = partial(answered, read=read, budget=design, with_rows=as_json and not no_rows)
-        results: list[tuple[dict[str, object], UsageError | None]] = list(mapped(assess_table, tables))
-        answer: dict[str, object] = {"sensors": [sensor for sensor, _ in results]}
+        results: list[tuple[dict[str, Any], UsageError | None]] = list(mapped(assess_table, tables))
+        answer: dict[str, Any] = {"sensors": [sensor for sensor, _ in results]}
         readable = {
             path: sensor for path, (sensor, error) in zip(tables, results, strict=True) if error is None
         }
@@ -96,9 +97,7 @@ def _mapped(tables: tuple[Path, ...]) -> Iterator[Map]:
         return
     with opened_executor("processes", workers) as executor:
 
-        def map_in_processes(
-            function: Callable[[object], object], paths: Sequence[object]
-        ) -> Iterator[object]:
+        def map_in_processes(function: Callable[[Any], Any], paths: Sequence[Any]) -> Iterator[Any]:
             progress = Progress(len(paths), 0, what="tables") if sys.stderr.isatty() else None
             for result in executor.map(function, paths, chunksize=FILES_A_TASK):
                 if progress is not None:
@@ -110,7 +109,7 @@ def _mapped(tables: tuple[Path, ...]) -> Iterator[Map]:
 
 def answered(
     path: Path, *, read: Read, budget: Budget, with_rows: bool
-) -> tuple[dict[str, object], UsageError | None]:
+) -> tuple[dict[str, Any], UsageError | None]:
     """Assess one table, or return the error of reading it, so that other tables are assessed."""
     try:
         return sensor(path, read=read, budget=budget, with_rows=with_rows), None
@@ -126,11 +125,11 @@ def sensor(
     read: Read,
     budget: Budget,
     with_rows: bool,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Assess one table and return the result for JSON."""
     table = read(path)
     assessed = assess(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
-    answer: dict[str, object] = {"file": str(path), "refused": assessed.refused}
+    answer: dict[str, Any] = {"file": str(path), "refused": assessed.refused}
     answer["features_dropped"] = list(assessed.features_dropped)
     answer |= {"columns_assessed": list(table.names), "columns_left_out": list(table.left_out)}
     if assessed.refused is not None:
@@ -173,7 +172,7 @@ def _empty_results(*, with_rows: bool) -> dict[str, object]:
     }
 
 
-def _rows(assessed: Assessed) -> list[dict[str, object]]:
+def _rows(assessed: Assessed) -> list[dict[str, Any]]:
     """Return a result per row."""
     columns = {
         "distance_squared": assessed.distances_squared,
@@ -195,7 +194,7 @@ def _finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def in_words(answer: dict[str, object], budget: float, sets_per_day: float) -> str:
+def in_words(answer: dict[str, Any], budget: float, sets_per_day: float) -> str:
     """Return the lines about a transducer."""
     if answer["refused"] is not None:
         return f"{answer['file']}: refused: {answer['refused']}"

@@ -210,7 +210,7 @@ def _extracted(where: str, record: Record, settings: ExtractionSettings) -> Shot
 
 def _template(transducer: TransducerParameters, found: Template | None, width_s: float) -> Template | None:
     """Combine given parameters and learn_template ones; given ones have priority."""
-    given: dict[str, object] = {
+    given: dict[str, Any] = {
         name: value
         for name, value in (
             ("isw_fwhm_s", transducer.isw_fwhm_s),
@@ -231,7 +231,7 @@ def _in_words(template: Template) -> str:
     return f"compared with an ISW {width_us:.1f} us wide and {height_v:.4g} V high{since}"
 
 
-def experiment_text(shot: ShotFeatures) -> dict[str, object]:
+def experiment_text(shot: ShotFeatures) -> dict[str, Any]:
     """Return a shot for JSON: null for missing values."""
     return {
         "flags": list(shot.flags),
@@ -246,7 +246,7 @@ def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _show(file: str, rows: Sequence[dict[str, object]]) -> None:
+def _show(file: str, rows: Sequence[dict[str, Any]]) -> None:
     """Print a table of the features of a file."""
     from rich.table import Table
 

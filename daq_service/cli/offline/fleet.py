@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import scipy  # `scipy.stats` comes when asked for
@@ -39,7 +40,7 @@ DOUBTED_BY_CHANCE = 0.01
 FARTHEST_SD = 1e30
 """Maximum distance of a set from its baseline; limit of float32."""
 Read = Callable[[Path], TableFile]
-Map = Callable[[Callable[[object], object], Sequence[object]], Iterable[object]]
+Map = Callable[[Callable[[Any], Any], Sequence[Any]], Iterable[Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -125,7 +126,7 @@ def assess_fleet(
     budget: Budget,
     rate: float,
     own_alarms: Sequence[Sequence[int]],
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Assess all tables together and return the result for JSON.
 
     Parameters
@@ -236,7 +237,7 @@ def _shared_as_object(cause: SharedChange, names: Sequence[str]) -> dict[str, ob
     }
 
 
-def fleet_in_words(answer: dict[str, object]) -> str:
+def fleet_in_words(answer: dict[str, Any]) -> str:
     """Return the lines about the fleet."""
     sensors = f"fleet of {answer['sensors']} sensors, {answer['judged']} judged"
     raised = (

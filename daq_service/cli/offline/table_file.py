@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,7 +130,7 @@ def read_table(
     return TableFile(vectors=vectors, names=tuple(columns_of_numbers), in_baseline=healthy, left_out=left_out)
 
 
-def _reason(name: str, column: object, numbers: NDArray[np.float64] | None) -> str:
+def _reason(name: str, column: Any, numbers: NDArray[np.float64] | None) -> str:
     """Return why a column is not a feature; empty if it is, or if it has neither name nor value."""
     if not name:
         return "" if numbers is not None and np.isnan(numbers).all() else "it has no name"
@@ -145,13 +146,13 @@ def _reason(name: str, column: object, numbers: NDArray[np.float64] | None) -> s
     return ""
 
 
-def _left_out(name: str, column: object, reason: str) -> dict[str, object]:
+def _left_out(name: str, column: Any, reason: str) -> dict[str, Any]:
     """Describe a column that is no feature."""
     row = next((row for row, cell in enumerate(column) if not _is_missing(cell)), 0)
     return {"name": name, "reason": reason, "row": row, "cell": str(column[row])}
 
 
-def _refuse_nearly(path: Path, name: str, column: object, decimal: str) -> None:
+def _refuse_nearly(path: Path, name: str, column: Any, decimal: str) -> None:
     """Raise an error for a column of numbers with other text, or with two decimal marks."""
     known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
     mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
@@ -171,7 +172,7 @@ def _is_nearly(cell: object, decimal: str, *, mixed: bool) -> bool:
     return NEARLY.fullmatch(cell.strip()) is not None and not DATE.match(cell.strip())
 
 
-def _columns(path: Path) -> tuple[dict[str, object], str]:
+def _columns(path: Path) -> tuple[dict[str, Any], str]:
     """Return every column by its name, and the decimal mark of its texts."""
     reader = {".csv": _of_csv, ".parquet": _of_parquet, ".npy": _of_npy}.get(path.suffix.lower())
     if reader is None:
@@ -188,7 +189,7 @@ def _columns(path: Path) -> tuple[dict[str, object], str]:
     return columns, decimal
 
 
-def _of_csv(path: Path) -> tuple[dict[str, object], str]:
+def _of_csv(path: Path) -> tuple[dict[str, Any], str]:
     """Read the columns of a CSV file and its decimal mark."""
     comments, lines = csv_lines(path)
     separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
@@ -265,7 +266,7 @@ def _require_names_once(path: Path, names: Sequence[str]) -> None:
         raise NoTableError(f"{path}: each column must be named once; they are {','.join(names)[:80]!r}")
 
 
-def _of_parquet(path: Path) -> tuple[dict[str, object], str]:
+def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
     """Read the columns of a Parquet file."""
     from daq_service.web.tables.formats import pyarrow
 
@@ -304,7 +305,7 @@ def _of_npy(path: Path) -> tuple[dict[str, object], str]:
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 
-def _numbers(column: object, decimal: str) -> NDArray[np.float64] | None:
+def _numbers(column: Any, decimal: str) -> NDArray[np.float64] | None:
     """Return the column as numbers, NaN if missing; None if most cells are not numbers."""
     if isinstance(column, np.ndarray):
         return _without_overload(column.astype(np.float64))
@@ -322,12 +323,12 @@ def _without_overload(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.where(over | np.isin(values, NO_READINGS), np.nan, values))
 
 
-def _is_missing(cell: object) -> bool:
+def _is_missing(cell: Any) -> bool:
     """Return whether a cell has no value."""
     return cell is None or (isinstance(cell, str) and MISSING.fullmatch(cell.strip()) is not None)
 
 
-def _number(cell: object, decimal: str) -> float | None:
+def _number(cell: Any, decimal: str) -> float | None:
     """Convert a cell to a number; None if it is not one."""
     if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):  # 1_2 is Python's way, and a name
         return None
@@ -342,12 +343,12 @@ def _is_number(cell: str, decimal: str) -> bool:
     return _number(cell, decimal) is not None
 
 
-def _no_number(column: Sequence[object], decimal: str) -> object:
+def _no_number(column: Sequence[Any], decimal: str) -> Any:
     """Return the first cell that is not a number."""
     return next(cell for cell in column if not _is_missing(cell) and _number(cell, decimal) is None)
 
 
-def _equal(column: object, value: str, decimal: str) -> NDArray[np.bool_]:
+def _equal(column: Any, value: str, decimal: str) -> NDArray[np.bool_]:
     """Return the rows whose cell equals a value, as text or as a number."""
     wanted = _numbers([value], decimal)
     numbers = _numbers(column, decimal)
@@ -356,7 +357,7 @@ def _equal(column: object, value: str, decimal: str) -> NDArray[np.bool_]:
     return np.array([str(cell).strip().lower() == value.lower() for cell in column], dtype=bool)
 
 
-def _listed(names: object) -> str:
+def _listed(names: Any) -> str:
     """Join names, shortened if there are many."""
     texts = list(map(str, names))
     return ", ".join(texts[:NAMES_SHOWN]) + (f" ... ({len(texts)})" if len(texts) > NAMES_SHOWN else "")

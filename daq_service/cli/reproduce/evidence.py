@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,7 +120,7 @@ class Trace:
     time_s: FloatArray
     volts: FloatArray
     n_records: int
-    truth: Mapping[str, object] = field(default_factory=dict)
+    truth: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -142,7 +143,7 @@ class Evidence:
 
     folder: Path
     name: str
-    configuration: Mapping[str, object]
+    configuration: Mapping[str, Any]
     configuration_hash: str
     solimon_version: str
     from_twin: bool
@@ -214,7 +215,7 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     )
 
 
-def _places(configuration: Mapping[str, object], sets: Sequence[SetRow]) -> dict[str, dict[str, object]]:
+def _places(configuration: Mapping[str, Any], sets: Sequence[SetRow]) -> dict[str, dict[str, Any]]:
     """Return the positions with sets, each with its method."""
     methods = {row.position: row.method for row in sets}
     configured = configuration.get("positions", {})
@@ -224,8 +225,8 @@ def _places(configuration: Mapping[str, object], sets: Sequence[SetRow]) -> dict
 
 
 def _common(
-    catalogue: Catalogue, position: str, place: Mapping[str, object], columns: Mapping[str, Sequence[object]]
-) -> dict[str, object]:
+    catalogue: Catalogue, position: str, place: Mapping[str, Any], columns: Mapping[str, Sequence[Any]]
+) -> dict[str, Any]:
     """Return the fields of a `Series`."""
     alarms_h = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
     return {
@@ -243,7 +244,7 @@ def _array(values: Sequence[float | bool | None]) -> FloatArray:
     return np.array([np.nan if value is None else float(value) for value in values], dtype=np.float64)
 
 
-def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, object]) -> SolitaryWaves:
+def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any]) -> SolitaryWaves:
     """Read the sets of a solitary-wave transducer."""
     columns = catalogue.columns(FeatureRow, ["set_index", "due_h", *PULSES], position=position, scope="set")
     assessments = catalogue.columns(
@@ -267,7 +268,7 @@ def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, obj
 
 
 def _pulse_echoes(
-    catalogue: Catalogue, position: str, place: Mapping[str, object], configuration: Mapping[str, object]
+    catalogue: Catalogue, position: str, place: Mapping[str, Any], configuration: Mapping[str, Any]
 ) -> PulseEchoes:
     """Read the sets of an ultrasonic probe."""
     names = ("travel_time_s", "thickness_m", "thickness_loss_m")

@@ -31,8 +31,8 @@ class Job:
     Equal jobs are computed once, so the arguments must be hashable and picklable.
     """
 
-    function: Callable[..., object]
-    arguments: tuple[object, ...] = ()
+    function: Callable[..., Any]
+    arguments: tuple[Any, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,7 +102,7 @@ class Material:
     """
 
     evidence: Evidence | None
-    results: Mapping[str, object]
+    results: Mapping[str, Any]
 
     def result(self, name: str) -> Any:
         """Return the result of a job.

@@ -16,9 +16,10 @@ import click
 
 from daq_service.cli.reproduce.comparison import Row, tally
 from daq_service.cli.reproduce.evidence import Evidence
-from daq_service.cli.reproduce.output import RECORD, REPORT, write_json, write_whole
+from daq_service.cli.reproduce.output import RECORD, REPORT, write_json
 from daq_service.cli.reproduce.page import Report, Section, report_page
 from daq_service.recording.provenance import PACKAGES
+from daq_service.shared_file import write_output
 
 TITLE = "The paper's evaluation, reproduced"
 
@@ -39,7 +40,7 @@ class Outcome:
         return [row for section in self.sections for row in section.rows]
 
 
-def versions() -> dict[str, object]:
+def versions() -> dict[str, Any]:
     """Return the facts of a run before it has a test."""
     return {
         "seed": None,
@@ -54,7 +55,7 @@ def versions() -> dict[str, object]:
     }
 
 
-def facts_of_test(test: Evidence) -> dict[str, object]:
+def facts_of_test(test: Evidence) -> dict[str, Any]:
     """Return the facts of a test."""
     return {
         "seed": test.seed,
@@ -113,7 +114,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
     ]
     if missing:
         remarks.append(f"Interrupted before {', '.join(missing)} could be made.")
-    write_whole(
+    write_output(
         run.out / REPORT,
         report_page(Report(title=TITLE, facts=facts, sections=run.sections, remarks=remarks)),
     )
@@ -132,7 +133,7 @@ def _row_dict(row: Row) -> dict[str, object]:
     return {**asdict(row), "deviation_shown": row.deviation_shown}
 
 
-def print_result(result: Mapping[str, object]) -> None:
+def print_result(result: Mapping[str, Any]) -> None:
     """Print the result of `finish`."""
     rows = result["comparison"]
     if rows:

@@ -12,7 +12,7 @@ from pathlib import Path
 from daq_service.cli.reproduce.item import Table
 from daq_service.errors import StorageError
 from daq_service.settings.foreign_text import spreadsheet_cell
-from daq_service.shared_file import patiently
+from daq_service.shared_file import write_output
 
 RECORD = "reproduction.json"
 """Marks the folder as a reproduction, and finally lists its contents."""
@@ -38,26 +38,14 @@ def prepare_output(folder: Path) -> None:
                 "or empty one with --out"
             )
         if RECORD not in names:
-            write_whole(folder / RECORD, b"{}\n")
+            write_output(folder / RECORD, b"{}\n")
     except OSError as error:
         raise StorageError(f"cannot write {folder}: {error.strerror}; choose another with --out") from error
 
 
-def write_whole(path: Path, content: bytes) -> None:
-    """Replace a file at once: an interruption leaves the old or the new one."""
-    partial = path.with_name(f".{path.name}.tmp")
-    try:
-        partial.write_bytes(content)
-        patiently(lambda: partial.replace(path))
-    except OSError as error:
-        raise StorageError(
-            f"cannot write {path}: {error.strerror}; free the disk or choose another --out"
-        ) from error
-
-
 def write_json(path: Path, content: Mapping[str, object]) -> None:
     """Write an object as JSON."""
-    write_whole(path, (json.dumps(content, indent=1) + "\n").encode())
+    write_output(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def csv_bytes(table: Table) -> bytes:

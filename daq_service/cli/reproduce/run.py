@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -23,7 +24,7 @@ from daq_service.cli.reproduce.experiment import BY_SETS, check_test_folder, run
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product
 from daq_service.cli.reproduce.items import chosen_items
 from daq_service.cli.reproduce.outcome import Outcome, facts_of_test, finish, print_result, versions
-from daq_service.cli.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output, write_whole
+from daq_service.cli.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output
 from daq_service.cli.reproduce.page import Section
 from daq_service.cli.reproduce.style import house_style, rendered
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
@@ -32,6 +33,7 @@ from daq_service.processes.data_folder import new_folder
 from daq_service.processes.worker import one_worker
 from daq_service.settings.stored import differences
 from daq_service.settings.tree import Settings
+from daq_service.shared_file import write_output
 from simulator.errors import SimulatorError
 
 POLL_S = 0.1
@@ -163,7 +165,7 @@ class _ProgressOfTenths:
             self._report(f"test: hour {due_h:g}, set {done} of {planned}")
 
 
-def _wait(future: Future[object], stop: threading.Event) -> object:
+def _wait(future: Future[Any], stop: threading.Event) -> Any:
     """Wait for a result or an interruption."""
     while not future.done():
         if stop.wait(POLL_S):
@@ -177,13 +179,13 @@ def _wait(future: Future[object], stop: threading.Event) -> object:
 def _make(
     run: Outcome,
     item: Item,
-    futures: Mapping[Job, Future[object]],
+    futures: Mapping[Job, Future[Any]],
     evidence: Future[Evidence] | None,
     stop: threading.Event,
     report: Report,
 ) -> None:
     """Wait for the inputs of an item, compute it, write its files."""
-    results: dict[str, object] = {}
+    results: dict[str, Any] = {}
     for name, job in item.jobs.items():
         try:
             results[name] = _wait(futures[job], stop)
@@ -227,7 +229,7 @@ def _written(
     for ending, table in product.tables.items():
         contents[f"{stem}_{ending}.csv" if ending else f"{stem}.csv"] = csv_bytes(table)
     for name, content in contents.items():
-        write_whole(run.out / name, content)
+        write_output(run.out / name, content)
     return Section(
         name=item.name,
         title=item.title,

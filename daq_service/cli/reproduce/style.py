@@ -25,7 +25,7 @@ OF_POSITION = {"A": ORANGE, "B": BLUE, "C": VERMILLION, "D": GREEN}
 WIDTH_IN = 7.2
 DPI = 150
 
-RULES: object = {
+RULES: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 8.5,
     "axes.titlesize": 9,
@@ -64,9 +64,7 @@ def house_style() -> Iterator[None]:
         yield
 
 
-def sheet(
-    rows: int = 1, columns: int = 1, *, height_in: float, **options: object
-) -> tuple[Figure, list[Axes]]:
+def sheet(rows: int = 1, columns: int = 1, *, height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
     """Create a figure and its axes in reading order."""
     figure = Figure(figsize=(WIDTH_IN, height_in), layout="constrained")
     axes = figure.subplots(rows, columns, squeeze=False, **options)
@@ -86,7 +84,7 @@ def name_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
         axis.set_title(f"({letter}) {title}")
 
 
-METADATA: object = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "solimon"}}
+METADATA: Any = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "solimon"}}
 
 
 def rendered(figure: Figure, endings: Sequence[str] = tuple(METADATA)) -> dict[str, bytes]:

@@ -26,7 +26,7 @@ def make_table1(material: Material) -> Product:
     """Return the positions of the test: method, size of the corroded square, sets."""
     test = material.test
     methods = {**dict.fromkeys(test.pulses, "solitary_wave"), **dict.fromkeys(test.echoes, "pulse_echo")}
-    places: dict[str, object] = {**test.pulses, **test.echoes}
+    places: dict[str, Any] = {**test.pulses, **test.echoes}
     names = sorted(places)
     table = Table(
         columns={

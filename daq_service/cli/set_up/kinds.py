@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import math
-import tomllib
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import tomlkit
 from pydantic import TypeAdapter
+from tomlkit.exceptions import TOMLKitError
 
 from daq_service.cli.doctor.check import Check
 from daq_service.cli.doctor.command import rig_checks
@@ -18,8 +18,8 @@ from daq_service.cli.doctor.storage import held_folder
 from daq_service.cli.doctor.trial import Trial, strike_transducer
 from daq_service.cli.set_up.dialogue import Dialogue, Question
 from daq_service.cli.set_up.drawn import shot_drawn
-from daq_service.cli.set_up.init import head_of, laboratory, settings_of, write_file
-from daq_service.cli.set_up.transducers import Flags, ask_position, report_file, strikes_or_goes_on
+from daq_service.cli.set_up.init import head_of, laboratory, settings_of
+from daq_service.cli.set_up.transducers import Flags, positions_table
 from daq_service.errors import BusyError, RigError, UsageError
 from daq_service.settings.instruments import configured, plain
 from daq_service.settings.stored import KeyPath
@@ -129,15 +129,11 @@ class KindsBench:
     def values(self, others: Mapping[str, Any]) -> dict[str, Any]:
         """Return the values of the new file; `others` are further tables of [rig]."""
         values, _ = laboratory()
-        labels = {name: place["label"] for name, place in values["positions"].items()}
         rig = {name: value for name, value in values["rig"].items() if not isinstance(value, Mapping)}
         used = {name for roles in self.served.values() for name in roles.values()}
         return {
             **values,
-            "positions": {
-                name: {"method": SOLITARY_WAVE, "label": labels.get(name, ""), "serial_number": ""}
-                for name in sorted(self.served)
-            },
+            "positions": positions_table(dict.fromkeys(self.served, SOLITARY_WAVE)),
             "rig": {
                 **rig,
                 **others,
@@ -219,95 +215,123 @@ def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path,
     return bench
 
 
-def take_kinds(dialogue: Dialogue, bench: KindsBench, flags: Flags) -> None:
-    """Wire the positions of the flags, ``DIGITIZER/STRIKER`` each; strike only if requested.
+@dataclass(frozen=True, slots=True)
+class Kinds:
+    """Instruments of installed kinds as the dialogue sets them up."""
 
-    Raises
-    ------
-    RigError
-        A strike gave no record.
-    """
-    for position, text in flags.transducers.items():
+    dialogue: Dialogue
+    bench: KindsBench
+
+    @property
+    def wired(self) -> Mapping[str, Mapping[Role, str]]:
+        """Return the instrument of each role by position."""
+        return self.bench.served
+
+    def introduce(self, flags: Flags, *, asks: bool) -> None:
+        """Print roles and parameters of each instrument."""
+        for name in self.bench.offers if asks else ():
+            self.dialogue.report(f"{name}: {_in_words(self.bench, name)}")
+
+    def wire(self, position: str, text: str) -> None:
+        """Wire a transducer as ``DIGITIZER/STRIKER``."""
         digitizer, slash, striker = text.partition("/")
-        bench.served[position] = {"digitizer": digitizer, "striker": striker if slash else digitizer}
-    bench.settings()
-    _print_checks(dialogue, bench.checks())
-    for position in flags.transducers if flags.strike else ():
-        trial = bench.strike(position, dialogue)
-        _print_checks(dialogue, trial.checks)
-        if trial.record is None:
-            raise RigError(f"{position} gave no record; mend what is told above, then run it again")
+        self.bench.served[position] = {"digitizer": digitizer, "striker": striker if slash else digitizer}
 
-
-def ask_for_kinds(dialogue: Dialogue, bench: KindsBench) -> None:
-    """Ask for positions until the person ends."""
-    for name in bench.offers:
-        dialogue.report(f"{name}: {_in_words(bench, name)}")
-    while (position := ask_position(dialogue, bench.served)) is not None:
-        bench.served[position] = {
-            role: _instrument(dialogue, bench, position, role) for role in ROLES_OF_A_TRANSDUCER
+    def ask_wiring(self, position: str) -> None:
+        """Ask for the instruments of a transducer and for parameters."""
+        self.bench.served[position] = {
+            role: self._instrument(position, role) for role in ROLES_OF_A_TRANSDUCER
         }
-        bench.position = position
-        _change(dialogue, bench)
-        _print_checks(dialogue, bench.checks())
-        while strikes_or_goes_on(dialogue, position):
-            try:
-                trial = bench.strike(position, dialogue)
-            except BusyError as error:
-                dialogue.report(f"  {error}")
-                continue
-            _print_checks(dialogue, trial.checks)
-            _propose_level(dialogue, bench, position, trial)
-            _change(dialogue, bench)
+        self.bench.position = position
+        self._change()
+        self.check()
 
+    def check(self) -> None:
+        """Print the checks of the instruments; UsageError describes what is missing or wrong."""
+        self._print_checks(self.bench.checks())
 
-def _instrument(dialogue: Dialogue, bench: KindsBench, position: str, role: Role) -> str:
-    able = bench.able(role)
-    if len(able) == 1:
-        dialogue.report(f"{position}      {role}: {able[0]}")
-        return able[0]
-    question = Question(
-        name=f"{position}.{role}", text=f"The {role} of {position}", default=able[0], choices=able
-    )
-    return dialogue.ask(question, str)
+    def strike(self, position: str) -> None:
+        """Strike once; print the checks and ask for changes."""
+        trial = self.bench.strike(position, self.dialogue)
+        self._print_checks(trial.checks)
+        self._propose_level(position, trial)
+        self._change()
 
+    def strike_each(self, positions: Collection[str]) -> None:
+        """Strike each transducer once; RigError if one gives no waveform."""
+        for position in positions:
+            trial = self.bench.strike(position, self.dialogue)
+            self._print_checks(trial.checks)
+            if trial.record is None:
+                raise RigError(f"{position} gave no record; fix what is reported above, then run it again")
 
-def _change(dialogue: Dialogue, bench: KindsBench) -> None:
-    """Ask for parameters until they are valid and no change is requested."""
-    while True:
-        good = True
-        try:
-            bench.settings()
-        except UsageError as error:
-            dialogue.report(str(error))
-            good = False
+    def conclude(self, *, asks: bool) -> None:
+        """Do nothing: each strike was assessed by itself."""
+
+    def contents(
+        self, others: Mapping[str, Any], off: set[KeyPath]
+    ) -> tuple[dict[str, Any], set[KeyPath], str]:
+        """Return values with all defaults, switched-off tables and head of the file."""
+        values = self.bench.values(others)
+        for item in configured(settings_of(values, off, self.bench.file)):
+            if item.name in self.bench.offers:
+                filled = {key: value for key, value in plain(item).items() if value is not None}
+                values["rig"]["instruments"][item.name] |= filled
+        struck = [name for name, trial in self.bench.trials.items() if trial.record is not None]
+        return values, off, head_of(self.bench.offers, struck)
+
+    def result(self) -> dict[str, Any]:
+        """Return the instruments, their roles and the strikes for ``--json``."""
+        return {
+            "instruments": {name: list(offer.distributions) for name, offer in self.bench.offers.items()},
+            "transducers": {name: dict(roles) for name, roles in self.bench.served.items()},
+            "struck": [trial.as_row() for trial in self.bench.trials.values()],
+        }
+
+    def _instrument(self, position: str, role: Role) -> str:
+        able = self.bench.able(role)
+        if len(able) == 1:
+            self.dialogue.report(f"{position}      {role}: {able[0]}")
+            return able[0]
         question = Question(
-            name="parameter",
-            text="A parameter to change, INSTRUMENT.KEY=VALUE" + (", - to go on" if good else ""),
-            default="-" if good else "",
+            name=f"{position}.{role}", text=f"The {role} of {position}", default=able[0], choices=able
         )
-        given = dialogue.ask(question, bench.given_in)
-        if given is None and good:
+        return self.dialogue.ask(question, str)
+
+    def _change(self) -> None:
+        """Ask for parameters until they are valid and no change is requested."""
+        while True:
+            good = True
+            try:
+                self.bench.settings()
+            except UsageError as error:
+                self.dialogue.report(str(error))
+                good = False
+            question = Question(
+                name="parameter",
+                text="A parameter to change, INSTRUMENT.KEY=VALUE" + (", - to go on" if good else ""),
+                default="-" if good else "",
+            )
+            given = self.dialogue.ask(question, self.bench.given_in)
+            if given is None and good:
+                return
+
+    def _propose_level(self, position: str, trial: Trial) -> None:
+        """Propose a tenth of the incident wave as trigger level, if the digitizer has this parameter."""
+        digitizer = self.bench.served[position]["digitizer"]
+        unfit = [check.values for check in trial.checks if check.state == "warn" and LEVEL in check.values]
+        if not unfit or LEVEL not in self.bench.known(digitizer):
             return
+        level_v, incident_v = (float(str(unfit[0][name])) for name in (LEVEL, "isw_amplitude_v"))
+        proposed_v = float(f"{math.copysign(0.1 * incident_v, level_v):.2g}")
+        self.dialogue.report(f"take   {digitizer}.{LEVEL} {proposed_v:g} V, a tenth of the incident wave")
+        if self.dialogue.yes("accept", "Take this value", default="yes"):
+            self.bench.parameters[digitizer][LEVEL] = proposed_v
 
-
-def _propose_level(dialogue: Dialogue, bench: KindsBench, position: str, trial: Trial) -> None:
-    """Propose a tenth of the incident wave as trigger level, if the digitizer has this parameter."""
-    digitizer = bench.served[position]["digitizer"]
-    unfit = [check.values for check in trial.checks if check.state == "warn" and LEVEL in check.values]
-    if not unfit or LEVEL not in bench.known(digitizer):
-        return
-    level_v, incident_v = (float(str(unfit[0][name])) for name in (LEVEL, "isw_amplitude_v"))
-    proposed_v = float(f"{math.copysign(0.1 * incident_v, level_v):.2g}")
-    dialogue.report(f"take   {digitizer}.{LEVEL} {proposed_v:g} V, a tenth of the incident wave")
-    if dialogue.yes("accept", "Take this value", default="yes"):
-        bench.parameters[digitizer][LEVEL] = proposed_v
-
-
-def _print_checks(dialogue: Dialogue, checks: Sequence[Check]) -> None:
-    for check in checks:
-        remedy = f"; {check.remedy}" if check.remedy else ""
-        dialogue.report(f"{check.state:<6} {check.name}: {check.found}{remedy}")
+    def _print_checks(self, checks: Sequence[Check]) -> None:
+        for check in checks:
+            remedy = f"; {check.remedy}" if check.remedy else ""
+            self.dialogue.report(f"{check.state:<6} {check.name}: {check.found}{remedy}")
 
 
 def _in_words(bench: KindsBench, name: str) -> str:
@@ -321,29 +345,7 @@ def _in_words(bench: KindsBench, name: str) -> str:
 
 def _toml_value(text: str) -> Any:
     """Read a number, a truth value, a list or a table as TOML; anything else is text."""
-    with suppress(tomllib.TOMLDecodeError):
-        return tomllib.loads(f"value = {text}")["value"]
-    return text
-
-
-def write_kinds(
-    dialogue: Dialogue, bench: KindsBench, others: Mapping[str, Any], off: set[KeyPath]
-) -> dict[str, Any]:
-    """Write the file and its schema, print the next steps, and return the result for ``--json``."""
-    del off  # of other instruments only what is there has a table
-    values = bench.values(others)
-    settings = settings_of(values, set(), bench.file)
-    for item in configured(settings):  # the defaults, too: a person sees what there is
-        if item.name in bench.offers:
-            filled = {key: value for key, value in plain(item).items() if value is not None}
-            values["rig"]["instruments"][item.name] |= filled
-    struck = [name for name, trial in bench.trials.items() if trial.record is not None]
-    write_file(bench.file, values, head=head_of(bench.offers, struck), off=set())
-    report_file(dialogue, bench.file, settings)
-    return {
-        "file": str(bench.file),
-        "configuration_hash": settings.configuration_hash(),
-        "instruments": {name: list(offer.distributions) for name, offer in bench.offers.items()},
-        "transducers": {name: dict(roles) for name, roles in bench.served.items()},
-        "struck": [trial.as_row() for trial in bench.trials.values()],
-    }
+    try:
+        return tomlkit.value(text).unwrap()
+    except TOMLKitError:
+        return text

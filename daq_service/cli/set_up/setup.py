@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import closing, contextmanager
-from dataclasses import asdict, dataclass, replace
-from functools import partial
+from contextlib import ExitStack, closing, contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -15,24 +14,13 @@ import click
 from analysis.errors import AnalysisError
 from daq_service.cli.doctor.storage import owner_of
 from daq_service.cli.set_up.bench import Bench
+from daq_service.cli.set_up.boards import Boards
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.init import (
-    head_of,
-    laboratory,
-    refuse_what_is_there,
-    settings_of,
-    write_file,
-)
-from daq_service.cli.set_up.kinds import (
-    ask_for_kinds,
-    bench_of_kinds,
-    other_kinds,
-    take_kinds,
-    write_kinds,
-)
+from daq_service.cli.set_up.init import laboratory, refuse_what_is_there, settings_of, write_file
+from daq_service.cli.set_up.kinds import Kinds, bench_of_kinds, other_kinds
 from daq_service.cli.set_up.other_instruments import ask_for_others
 from daq_service.cli.set_up.page import Scope, served_page
-from daq_service.cli.set_up.transducers import Flags, ask_for_transducers, report_file, take_transducers
+from daq_service.cli.set_up.transducers import Flags, Instruments, set_up_transducers
 from daq_service.cli.set_up.wiring import board_in_words
 from daq_service.cli.terminal import open_page
 from daq_service.errors import BusyError, RigError, UsageError
@@ -76,23 +64,21 @@ def run_setup(
     if owner := owner_of(folder):
         raise BusyError(f"setup is refused: {owner}")
     page = _Page(port=port, shown=asks and not no_web, opens=not no_browser)
-    others = partial(ask_for_others, dialogue, supply=flags.supply, climate=flags.climate, asks=asks)
-    if kinds:
-        of_kinds = bench_of_kinds(kinds, assignments, file, folder)
-        with page.of(dialogue, of_kinds), _translated_errors():
-            if asks:
-                ask_for_kinds(dialogue, of_kinds)
-            else:
-                take_kinds(dialogue, of_kinds, flags)
-            result = write_kinds(dialogue, of_kinds, *others(probes=None))
-    else:
-        with (
-            closing(look_around(dialogue, folder, transport, grpc_address)) as bench,
-            page.of(dialogue, bench),
-            _translated_errors(),
-        ):
-            (ask_for_transducers if asks else take_transducers)(dialogue, bench, flags)
-            result = write(dialogue, bench, file, *others(probes=flags.probes))
+    with ExitStack() as stack:
+        instruments: Instruments
+        scope: Scope
+        if kinds:
+            scope = bench_of_kinds(kinds, assignments, file, folder)
+            instruments = Kinds(dialogue, scope)
+        else:
+            scope = stack.enter_context(closing(look_around(dialogue, folder, transport, grpc_address)))
+            instruments = Boards(dialogue, scope)
+        stack.enter_context(page.of(dialogue, scope))
+        stack.enter_context(_translated_errors())
+        set_up_transducers(dialogue, instruments, flags)
+        probes_of = None if kinds else flags.probes
+        others, off = ask_for_others(dialogue, probes_of, flags.supply, flags.climate, asks=asks)
+        result = write(dialogue, instruments, file, others, off)
     if as_json:
         click.echo(json.dumps(result))
 
@@ -187,36 +173,16 @@ def _met(survey: Survey) -> str:
 
 
 def write(
-    dialogue: Dialogue, bench: Bench, file: Path, others: Mapping[str, Any], off: set[KeyPath]
+    dialogue: Dialogue, instruments: Instruments, file: Path, others: Mapping[str, Any], off: set[KeyPath]
 ) -> dict[str, Any]:
     """Write the file and its schema, validate it, and print the next steps."""
-    values, _ = laboratory()
-    labels = {name: place["label"] for name, place in values["positions"].items()}
-    places = dict.fromkeys(others.get("niscope", {}).get("probes", {}), "pulse_echo")
-    if clash := set(places) & set(bench.transducers):
-        raise UsageError(f"position {', '.join(clash)} is a transducer and a probe; name one otherwise")
-    places |= dict.fromkeys(bench.transducers, "solitary_wave")
-    values["positions"] = {
-        name: {"method": method, "label": labels.get(name, ""), "serial_number": ""}
-        for name, method in sorted(places.items())
-    }
-    rig = values["rig"]
-    watchdog = rig["daqmx"]["watchdog"]
-    values["rig"] = {**rig, **others, "daqmx": {**bench.table(), "watchdog": watchdog}}
-    off = {*off, ("rig", "daqmx", "watchdog")}
-    boards = {bench.boards[one.board_serial].product for one in bench.transducers.values()}
+    values, off, head = instruments.contents(others, off)
     settings = settings_of(values, off, file)
-    head = head_of(boards, bench.struck if bench.chosen else ())
     write_file(file, values, head=head, off=off)
-    report_file(dialogue, file, settings)
-    proposal = bench.proposal()
+    dialogue.report(f"{file} is written with its schema ({settings.configuration_hash()[:12]})")
+    dialogue.report(f"next: solimon check-config {file}, then docs/how-to/day-one.md")
     return {
         "file": str(file),
         "configuration_hash": settings.configuration_hash(),
-        "boards": {serial: board.product for serial, board in bench.boards.items()},
-        "transducers": {name: asdict(wiring) for name, wiring in bench.transducers.items()},
-        "struck": list(bench.struck),
-        "proposal": None
-        if proposal is None
-        else asdict(replace(proposal, surveys={})) | {"taken": bool(bench.chosen)},
+        **instruments.result(),
     }

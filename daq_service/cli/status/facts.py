@@ -6,6 +6,7 @@ import logging
 import time
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.evidence import baseline_doubts
@@ -153,7 +154,7 @@ def _newest_rows(latest: LatestRows) -> dict[str, object]:
 
 def _present_state(
     folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LatestRows
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Return what changes with time: state, age, limits, the interval of a thickness."""
     data_h, interval_m = data_hour(last), None
     if last.last_thickness is not None:
@@ -189,7 +190,7 @@ def _rate_of(row: BaselineRow | None) -> dict[str, object] | None:
     }
 
 
-def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, object]:
+def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, Any]:
     """Return the number of confirmation sets, the newest result, and how many are left today."""
     rows = catalogue.rows(SetRow, purpose="confirmation")
     newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
@@ -216,7 +217,7 @@ def _next_due_h(settings: Settings, done: int) -> float | None:
     return hours[0] if hours else None
 
 
-def _open_orders(catalogue: Catalogue) -> list[dict[str, object]]:
+def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
     """Return the commands that wait for the recorder or are executed; not the expired ones."""
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
     commands_with_time = [(row, remaining_now_s(row)) for row in waiting]
@@ -228,9 +229,9 @@ def _open_orders(catalogue: Catalogue) -> list[dict[str, object]]:
     ]
 
 
-def _gaps(catalogue: Catalogue) -> list[dict[str, object]]:
+def _gaps(catalogue: Catalogue) -> list[dict[str, Any]]:
     """Return the newest incomplete sets with positions and causes."""
-    found: dict[tuple[int, str, str | None], dict[str, object]] = {}
+    found: dict[tuple[int, str, str | None], dict[str, Any]] = {}
     for row in catalogue.newest_gaps(GAPS_A_POSITION):
         gap = {"set_index": row.set_index, "due_h": row.due_h, "state": row.state, "cause": row.cause}
         key = (row.set_index, row.state, row.cause)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import groupby
+from typing import Any
 
 from rich import box
 from rich.console import Group, RenderableType
@@ -45,7 +46,7 @@ LARGEST_IN_FULL = 1e4
 """Larger distances are shown in powers of ten."""
 
 
-def picture(facts: Mapping[str, object], folder: str) -> RenderableType:
+def picture(facts: Mapping[str, Any], folder: str) -> RenderableType:
     """Compose the complete output from `facts.describe_status`."""
     facts, folder = all_in_one_line(facts), in_one_line(folder)
     head = Table.grid(padding=(0, 2, 0, 0))
@@ -60,7 +61,7 @@ def picture(facts: Mapping[str, object], folder: str) -> RenderableType:
     return Group(*parts)
 
 
-def _head(facts: Mapping[str, object], folder: str) -> Iterator[tuple[str, str, str]]:
+def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str]]:
     """Yield name, text and style of each line."""
     yield "data", folder, ""
     yield "recorder", facts["recorder"], STYLES[facts["recorder_state"]]
@@ -115,7 +116,7 @@ def _head(facts: Mapping[str, object], folder: str) -> Iterator[tuple[str, str, 
     yield "alarms", f"{len(facts['alarms']) - apart or 'none'}{suppressed}", ""
 
 
-def _baselines(positions: Mapping[str, Mapping[str, object]]) -> Iterator[str]:
+def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     """Yield the design false-alarm rates of the baselines, equal ones in one line."""
     alike: dict[str, list[str]] = {}
     for name, row in positions.items():
@@ -133,7 +134,7 @@ def _baselines(positions: Mapping[str, Mapping[str, object]]) -> Iterator[str]:
     yield from (f"{', '.join(names)}: {text}" for text, names in alike.items())
 
 
-def _assessments(positions: Mapping[str, Mapping[str, object]]) -> Iterator[tuple[str, str]]:
+def _assessments(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     """Yield the diagnosis of each position's newest set that differs from the baseline."""
     for name, row in positions.items():
         assessment = row["last_verdict"]
@@ -146,7 +147,7 @@ def _assessments(positions: Mapping[str, Mapping[str, object]]) -> Iterator[tupl
         yield f"{name}, set {assessment['set_index']}: {sentence}", style
 
 
-def _confirmations(facts: Mapping[str, object]) -> str:
+def _confirmations(facts: Mapping[str, Any]) -> str:
     """Return the number of confirmation sets, the newest result, and how many are left today."""
     remaining = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
     last = facts["last"]
@@ -154,7 +155,7 @@ def _confirmations(facts: Mapping[str, object]) -> str:
     return f"{facts['sets'] or 'no'} sets beside the plan; left for suspicion today: {remaining}{last_text}"
 
 
-def _gaps(gaps: Sequence[Mapping[str, object]]) -> Iterator[str]:
+def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     """Yield adjacent gaps of one cause in one line."""
     for (state, cause, where), group in groupby(
         gaps, key=lambda gap: (gap["state"], gap["cause"], ", ".join(gap["positions"]))
@@ -169,7 +170,7 @@ def _gaps(gaps: Sequence[Mapping[str, object]]) -> Iterator[str]:
         yield f"{names} {state} at {where}, hour {last['due_h']:g}: {cause}"
 
 
-def disk_text(disk: Mapping[str, object]) -> str:
+def disk_text(disk: Mapping[str, Any]) -> str:
     """Return free space, needed space, and when the disk will be full."""
     level = {"ample": "", "stop": "; nothing more is stored until some is freed"}.get(disk["level"], "; low")
     needed = disk["needed_bytes"]
@@ -185,7 +186,7 @@ def _table(*columns: str) -> Table:
     return table
 
 
-def _positions(positions: Mapping[str, Mapping[str, object]]) -> Table:
+def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
     """Return the table of positions."""
     table = _table("position", "state", "result", "limit", "chart", "quality", "age", "last set")
     for name, row in positions.items():
@@ -205,7 +206,7 @@ def _positions(positions: Mapping[str, Mapping[str, object]]) -> Table:
     return table
 
 
-def _result(row: Mapping[str, object]) -> tuple[str, str, str]:
+def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
     """Return result, limit and quality of a position's newest data, by its method."""
     echo, feature, assessment = row["last_thickness"], row["last_feature"], row["last_verdict"]
     if echo is not None:
@@ -228,12 +229,12 @@ def _result(row: Mapping[str, object]) -> tuple[str, str, str]:
     return ", ".join(texts) or "-", limit, f"{feature['quality']}, n = {feature['n_valid']}"
 
 
-def _of_the_same_set(feature: Mapping[str, object] | None, assessment: Mapping[str, object] | None) -> bool:
+def _of_the_same_set(feature: Mapping[str, Any] | None, assessment: Mapping[str, Any] | None) -> bool:
     """Return whether an assessment belongs to the set of these features."""
     return feature is not None and assessment is not None and assessment["set_index"] == feature["set_index"]
 
 
-def _chart(row: Mapping[str, object]) -> str:
+def _chart(row: Mapping[str, Any]) -> str:
     """Return the statistic and the limit of the control chart."""
     chart = row["chart"]
     if chart is None or not _of_the_same_set(row["last_feature"], row["last_verdict"]):
@@ -241,14 +242,14 @@ def _chart(row: Mapping[str, object]) -> str:
     return f"{chart['statistic']:.1f} of {chart['limit']:.1f}"
 
 
-def _what_now(alarms: Sequence[Mapping[str, object]]) -> Iterator[Text]:
+def _what_now(alarms: Sequence[Mapping[str, Any]]) -> Iterator[Text]:
     """Yield the first checks for each kind of active alarm."""
     for kind in dict.fromkeys(row["kind"] for row in alarms if row["suppressed"] is None):
         if kind in GUIDANCE:
             yield Text(f"{kind}: look first: {in_order(GUIDANCE[kind].look_first)}")
 
 
-def _state_of_alarm(row: Mapping[str, object]) -> str:
+def _state_of_alarm(row: Mapping[str, Any]) -> str:
     """Return the state of an alarm, with end and reason of a suppression."""
     state: str = row["state"].replace("_", " ")
     if row["suppressed"] is None:
@@ -258,7 +259,7 @@ def _state_of_alarm(row: Mapping[str, object]) -> str:
     return f"{state}, {text} by {row['suppressed_by']}: {row['suppressed_because']}"
 
 
-def _alarms(alarms: Sequence[Mapping[str, object]]) -> Table:
+def _alarms(alarms: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of alarms."""
     table = _table("alarm", "severity", "where", "state", "age", "what")
     for row in alarms:

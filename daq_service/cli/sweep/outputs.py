@@ -10,6 +10,7 @@ import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -122,7 +123,7 @@ def parquet_bytes(table: SweepTable) -> bytes:
     return buffer.getvalue()
 
 
-def _pyarrow() -> object:
+def _pyarrow() -> Any:
     try:
         import pyarrow
     except ImportError as error:

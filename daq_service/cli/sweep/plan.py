@@ -135,14 +135,14 @@ def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> No
         )
 
 
-def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: object) -> object:
+def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: Any) -> Any:
     """Yield the rows; a section that combinations share is created and hashed once."""
     paths = [tuple(key.split(".")) for key in keys]
     places = {name: [k for k, path in enumerate(paths) if path[0] == name] for name in SECTIONS}
     bases = dict(zip(SECTIONS, base, strict=True))
 
     @cache
-    def section(name: str, given: str) -> tuple[object, str, str]:
+    def section(name: str, given: str) -> tuple[Any, str, str]:
         """Make a section from values as JSON: itself, its hash, or the reason of its refusal."""
         values = json.loads(given)
         changes = {paths[k][1:]: value for k, value in zip(places[name], values, strict=True)}
@@ -189,6 +189,6 @@ def json_text(value: object) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), default=asdict)
 
 
-def _sha256(content: object) -> str:
+def _sha256(content: Any) -> str:
     """Compute the SHA-256 of an object's JSON."""
     return hashlib.sha256(json_text(content).encode()).hexdigest()

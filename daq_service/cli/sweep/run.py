@@ -8,6 +8,7 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -35,7 +36,7 @@ class SweepOptions:
 
 
 def run_sweep(
-    plan: Plan, options: SweepOptions, origin: Mapping[str, object], stop: threading.Event
+    plan: Plan, options: SweepOptions, origin: Mapping[str, Any], stop: threading.Event
 ) -> SweepTable:
     """Compute unfinished rows, write the outputs, remove the work file.
 

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -153,7 +154,7 @@ def coupled_numbers(force: ShotForce) -> dict[str, object]:
 
 def zener_numbers(
     chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Compute Zener's impact of the last sphere."""
     row = asdict(reflect(chain, plate, depth_fraction=corrosion.depth_fraction))
     return {"tof_us": 1e6 * row.pop("tof_s"), **row}

@@ -99,7 +99,7 @@ def _items(text: str) -> list[str]:
     return [*items, text[start:].strip()]
 
 
-def _values_of(item: str, text: str) -> list[object]:
+def _values_of(item: str, text: str) -> list[Any]:
     parts = item.split(":")
     if len(parts) == 1 or item[0] in '[{"':
         return [_value(item)]

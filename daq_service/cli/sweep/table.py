@@ -56,7 +56,7 @@ class SweepTable:
         return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
 
-def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, object]) -> SweepTable:
+def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, Any]) -> SweepTable:
     """Arrange the outcomes of a plan, given in the order of its rows.
 
     Parameters
@@ -120,7 +120,7 @@ def _column(values: list[object]) -> Column:
     return [value if isinstance(value, str) else json_text(value) for value in values]
 
 
-def _plain_list(values: Column) -> list[object]:
+def _plain_list(values: Column) -> list[Any]:
     if isinstance(values, list):
         return values
     cells = values.tolist()

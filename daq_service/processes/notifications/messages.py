@@ -172,7 +172,7 @@ def alarm_message(
     )
 
 
-def heartbeat_message(test: Test, receiver: str, facts: Mapping[str, object], *, now_ns: int) -> Message:
+def heartbeat_message(test: Test, receiver: str, facts: Mapping[str, Any], *, now_ns: int) -> Message:
     """Return a heartbeat message; ``facts`` are those of `source.Source.read_heartbeat_facts`."""
     age_h = facts["last_set_age_h"]
     last_set_text = (
@@ -212,7 +212,7 @@ def _counts_text(changes: Sequence[AlarmChange]) -> str:
     return ", ".join(f"{counts[pair]} {pair[0]} {pair[1]}" for pair in order)
 
 
-def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int) -> dict[str, object]:
+def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int) -> dict[str, Any]:
     age_s = max(0.0, (now_ns - item.wall_utc_ns) / NS_PER_S)
     at_set = "" if item.set_index is None else f", set {item.set_index}, quality {quality or 'unknown'}"
     sentences = [

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any
 
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import MEASURED_BY, AlarmRow, EventRow, FeatureRow
@@ -80,7 +81,7 @@ class Source:
             if settings is None or item.set_index is None:
                 continue
             kind = MEASURED_BY[settings.method]
-            filters: object = {"scope": "set"} if kind is FeatureRow else {}
+            filters: Any = {"scope": "set"} if kind is FeatureRow else {}
             rows = self._catalogue().rows(
                 kind, position=item.position, set_index=item.set_index, limit=1, **filters
             )

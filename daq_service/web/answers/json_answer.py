@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 import orjson
@@ -47,13 +48,13 @@ def rfc3339_of_hours(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
     return [f"{stamp}{fraction}" for stamp in np.datetime_as_string(seconds.astype("datetime64[s]")).tolist()]
 
 
-def with_utc(row: Mapping[str, object], epoch_utc_ns: int) -> dict[str, object]:
+def with_utc(row: Mapping[str, Any], epoch_utc_ns: int) -> dict[str, Any]:
     """Return a row with RFC 3339 times, as it leaves the service.
 
     ``*_utc_ns`` becomes ``*_utc`` (JavaScript cannot hold the integers), and each hour of the
     experiment ``*_h`` gets its ``*_utc`` unless the row has one already.
     """
-    answer: dict[str, object] = {}
+    answer: dict[str, Any] = {}
     for key, value in row.items():
         if key == "utc_ns" or key.endswith("_utc_ns"):
             answer[key.removesuffix("_ns")] = rfc3339(value)

@@ -47,7 +47,7 @@ def problem_schemas() -> dict[str, object]:
     return {**schema.pop("$defs"), "ProblemDetails": schema}
 
 
-def problems(*statuses: int) -> dict[int | str, dict[str, object]]:
+def problems(*statuses: int) -> dict[int | str, dict[str, Any]]:
     """Return the documentation of the error answers of a route."""
     return {status: PROBLEMS[status] for status in statuses}
 
@@ -65,7 +65,7 @@ def _of_row(kind: type[rows.Row]) -> Callable[[type[A]], type[A]]:
     """
 
     def derive(answer: type[A]) -> type[A]:
-        fields: dict[str, object] = {}
+        fields: dict[str, Any] = {}
         for column in rows.columns_of(kind):
             if column.name == "due_utc_ns":
                 continue
@@ -601,10 +601,10 @@ TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS)
 
 def _trend_columns() -> type[Answer]:
     of_assessment = {column.name: column for column in rows.columns_of(rows.AssessmentRow)}
-    kinds: dict[str, object] = dict.fromkeys(TREND_FIELDS, float | None)
+    kinds: dict[str, Any] = dict.fromkeys(TREND_FIELDS, float | None)
     kinds |= {name: of_assessment[name].type for name in TREND_ASSESSMENTS}
     kinds |= {"set_index": int, "due_h": float, "due_utc": str, "age_h": float, "quality": Quality | None}
-    fields: dict[str, object] = {
+    fields: dict[str, Any] = {
         name: (list[kind | None], Field(default_factory=list))  # type: ignore[valid-type] # a value here
         for name, kind in kinds.items()
     }

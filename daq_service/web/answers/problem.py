@@ -115,7 +115,7 @@ def problem_response(
     scope: Scope, problem: Problem, errors: Sequence[dict[str, Any]] | None = None
 ) -> Response:
     """Return the response of a problem."""
-    body: dict[str, object] = {
+    body: dict[str, Any] = {
         "type": TYPE_PREFIX + problem.name,
         "title": problem.title,
         "status": problem.status,

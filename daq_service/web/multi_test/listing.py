@@ -71,7 +71,7 @@ class Listing:
         """Return the number of tests that could be shown at their last read."""
         return sum(cached.entry["state"] == "shown" for cached in list(self._cached.values()))
 
-    def _entry(self, test: ServedTest) -> dict[str, object]:
+    def _entry(self, test: ServedTest) -> dict[str, Any]:
         page = f"/tests/{test.name}/"
         entry = {
             "test": test.name,
@@ -106,7 +106,7 @@ def _mark_of(folder: Path) -> tuple[int, ...]:
     return tuple(marks)
 
 
-def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[str, object]:
+def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[str, Any]:
     fresh = Freshness(folder, catalogue, settings.clock.kind)
     summaries = catalogue.positions_state()
     hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)

@@ -10,6 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 from daq_service.archive import ArchiveError, FolderSetReader
 from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
@@ -55,7 +56,7 @@ OF_ASSESSMENTS = (
 )
 OF_ECHOES = ("due_h", "thickness_m", "thickness_loss_m", "quality")
 
-Columns = Mapping[str, list[object]]
+Columns = Mapping[str, list[Any]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -126,7 +127,7 @@ class Contents:
     wall_age_s: float | None
     recorder: str
     held: str | None
-    rig_identity: Mapping[str, object]
+    rig_identity: Mapping[str, Any]
     n_files: int
     files_sha256: str
     extractors: Sequence[str]
@@ -181,6 +182,7 @@ def read_contents(
             )
             for name in settings.positions
         ]
+        features = [summary.last_feature for summary in summaries.values() if summary.last_feature]
         files = {row.file: row.file_sha256 or "" for rows in sets.values() for row in rows if row.file}
         file_list = "".join(f"{file} {sha256}\n" for file, sha256 in sorted(files.items()))
         alarms = [
@@ -203,13 +205,7 @@ def read_contents(
             rig_identity={} if started is None else started.payload.get("rig_identity", {}),
             n_files=len(files),
             files_sha256=hashlib.sha256(file_list.encode()).hexdigest(),
-            extractors=sorted(
-                {
-                    summary.last_feature.extractor_version
-                    for summary in summaries.values()
-                    if summary.last_feature
-                }
-            ),
+            extractors=sorted({feature.extractor_version for feature in features}),
             positions=positions,
             gaps=[gap for name in settings.positions for gap in _gaps(sets[name])],
             baselines=catalogue.baselines_by_id(),

@@ -138,7 +138,7 @@ def _points(axis: Axes, columns: Columns, name: str, factor: float, label: str) 
         axis.legend(**ABOVE)
 
 
-def _line(axis: Axes, columns: Columns, name: str, *, gid: str = "", **style: object) -> None:
+def _line(axis: Axes, columns: Columns, name: str, *, gid: str = "", **style: Any) -> None:
     """Draw a column over the hours, without missing values."""
     points = [
         (h, value) for h, value in zip(columns["due_h"], columns[name], strict=True) if value is not None

@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from html import escape
 from importlib.metadata import version
+from typing import Any
 
 from daq_service.alarms.evidence import proof_sentences
 from daq_service.alarms.states import NOT_ASSESSED
@@ -380,7 +381,7 @@ def _configuration(contents: Contents) -> list[str]:
     return ["<p class='note'>As the test was begun.</p>", f"<pre>{escape(text)}</pre>"]
 
 
-def plain_text(value: object) -> str:
+def plain_text(value: Any) -> str:
     """Return any value of a row as text."""
     if isinstance(value, Mapping):
         return ", ".join(f"{name} {plain_text(item)}" for name, item in value.items())

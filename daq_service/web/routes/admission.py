@@ -28,7 +28,7 @@ async def _person_dependency(connection: HTTPConnection) -> Person:
 PersonOf = Annotated[Person, Depends(_person_dependency)]
 
 
-def operation_of(route: object) -> str:
+def operation_of(route: Any) -> str:
     """Return the name of an operation in the table of roles."""
     return str((isinstance(route, APIRoute) and route.operation_id) or route.name)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Path, Request
 from pydantic import Field
@@ -21,13 +21,13 @@ from daq_service.commands.kinds import (
     AcknowledgeAlarm,
     AlarmArguments,
     Author,
-    DeskOrder,
+    Command,
+    CommandRejectedError,
     Facts,
-    Order,
-    OrderRefusedError,
+    StoredCommand,
     Strict,
 )
-from daq_service.commands.registry import AnyOrder
+from daq_service.commands.registry import AnyCommand
 from daq_service.commands.without_recorder import carry_out_unattended
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import is_owned
@@ -49,7 +49,7 @@ class Acknowledgement(Strict):
     note: str = Field(default="", max_length=2000)
 
 
-ExecuteCommand = Callable[[Order], Response]
+ExecuteCommand = Callable[[Command], Response]
 """Stores a command in the name of its author, or executes it, and returns the response with its row."""
 
 
@@ -58,7 +58,7 @@ async def _execute_dependency(context: ContextOf, request: Request, person: Pers
 
 
 ExecuteOf = Annotated[ExecuteCommand, Depends(_execute_dependency)]
-ACCEPTS: object = {
+ACCEPTS: Any = {
     "status_code": 202,
     "response_model": CommandRow,
     "responses": problems(400, 403, 404, 409, 413, 422, 503),
@@ -66,7 +66,7 @@ ACCEPTS: object = {
 
 
 @router.post("/commands", operation_id="create_command", **ACCEPTS)
-def create_command(command: AnyOrder, execute: ExecuteOf) -> Response:
+def create_command(command: AnyCommand, execute: ExecuteOf) -> Response:
     """Store a command; the recorder executes it within 60 s, or it expires (see its `state`).
 
     Without a recorder, a command that only changes stored data (an acknowledgement) is executed before the
@@ -95,7 +95,7 @@ def get_command(command_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: 
     return JsonAnswer(_row(context, command_id))
 
 
-def _execute_audited(context: Context, request: Request, person: Person, command: Order) -> Response:
+def _execute_audited(context: Context, request: Request, person: Person, command: Command) -> Response:
     """Store or execute a command in the name of its author, and audit the result."""
     audit = partial(
         write_audit_entry,
@@ -119,21 +119,21 @@ def _execute_audited(context: Context, request: Request, person: Person, command
     )
 
 
-def _write_or_execute(context: Context, command: Order) -> tuple[int, Result]:
+def _write_or_execute(context: Context, command: Command) -> tuple[int, Result]:
     """Store an allowed command, or execute it without a recorder; return its id and the result."""
     catalogue = context.catalogue()
     try:
-        if isinstance(command, DeskOrder) and is_owned(context.data_folder) is False:
+        if isinstance(command, StoredCommand) and is_owned(context.data_folder) is False:
             with suppress(BusyError):  # a recorder has started meanwhile: it gets the command
                 return _execute_here(context, command), "done"
         command.refuse_forbidden(_facts(context, catalogue))
-    except OrderRefusedError as error:
+    except CommandRejectedError as error:
         refusal = error.refusal
         raise (not_found if refusal.missing else conflict)(refusal.detail, refusal.hint) from None
     return catalogue.add_command(command.author, command.kind, command.arguments.model_dump()), "accepted"
 
 
-def _execute_here(context: Context, command: DeskOrder) -> int:
+def _execute_here(context: Context, command: StoredCommand) -> int:
     def moment() -> Moment:
         now = context.freshness()
         return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
@@ -157,7 +157,7 @@ def _facts(context: Context, catalogue: Catalogue) -> Facts:
     )
 
 
-def _row(context: Context, command_id: int) -> dict[str, object]:
+def _row(context: Context, command_id: int) -> dict[str, Any]:
     state_and_time = command_state(context.catalogue(), command_id)
     if state_and_time is None:
         raise not_found(

@@ -6,6 +6,7 @@ import json
 from collections.abc import Collection, Mapping
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.models import PROBLEMS
@@ -24,7 +25,7 @@ SCHEMES = {
 }
 
 
-def describe_roles(document: dict[str, object]) -> None:
+def describe_roles(document: dict[str, Any]) -> None:
     """Add security schemes, roles and refusals to an OpenAPI document.
 
     The empty alternative: a service on loopback requires no token before the first one is created.
@@ -46,7 +47,7 @@ def describe_roles(document: dict[str, object]) -> None:
 
 
 @cache
-def examples() -> dict[str, object]:
+def examples() -> dict[str, Any]:
     """Return example answers of a real service by operation (`python tests/contract/test_openapi.py`)."""
     example_answers: dict[str, object] = json.loads(
         read_shared(Path(__file__).parents[1] / "answers" / "examples.json")
@@ -54,7 +55,7 @@ def examples() -> dict[str, object]:
     return example_answers
 
 
-def describe_names(document: dict[str, object]) -> None:
+def describe_names(document: dict[str, Any]) -> None:
     """Add descriptions of names, units of numbers, and examples to an OpenAPI document."""
     operations = [operation for item in document["paths"].values() for operation in item.values()]
     used = {tag for operation in operations for tag in operation.get("tags", ())}
@@ -74,12 +75,12 @@ def describe_names(document: dict[str, object]) -> None:
         _give_example(operation)
 
 
-def look_up(texts: Mapping[str, object], scope: str, name: str) -> object:
+def look_up(texts: Mapping[str, Any], scope: str, name: str) -> Any:
     """Return the text of a name in a scope, or else in general; None where there is none."""
     return texts.get(f"{scope}.{name}", texts.get(name))
 
 
-def _describe(documented: dict[str, object], text: str | None) -> None:
+def _describe(documented: dict[str, Any], text: str | None) -> None:
     if text is not None:
         documented.setdefault("description", text)
 
@@ -95,7 +96,7 @@ def _mark_unit(documented: dict[str, object], name: str, schema: dict[str, objec
         documented["x-unit"] = unit
 
 
-def holds_numbers(schema: object, kinds: Collection[str] = ("number", "integer")) -> bool:
+def holds_numbers(schema: Any, kinds: Collection[str] = ("number", "integer")) -> bool:
     """Return whether values of a schema are numbers of these kinds, or contain them."""
     if not isinstance(schema, dict):
         return False
@@ -103,7 +104,7 @@ def holds_numbers(schema: object, kinds: Collection[str] = ("number", "integer")
     return schema.get("type") in kinds or any(holds_numbers(part, kinds) for part in parts)
 
 
-def _give_example(operation: dict[str, object]) -> None:
+def _give_example(operation: dict[str, Any]) -> None:
     example = examples().get(operation["operationId"])
     if example is None:
         return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from itertools import chain
-from typing import get_args
+from typing import Any, get_args
 
 from fastapi import APIRouter, Request
 from prometheus_client import CollectorRegistry
@@ -146,7 +146,7 @@ def _of_positions(context: Context, fresh: Freshness, summaries: dict[str, Lates
         for name, summary in summaries.items()
     }
 
-    def position_gauge(name: str, description: str, value: object) -> Metric:
+    def position_gauge(name: str, description: str, value: Any) -> Metric:
         return _gauge(
             name,
             description,

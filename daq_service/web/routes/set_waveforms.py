@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import struct
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request
 from starlette.responses import Response
@@ -104,7 +104,7 @@ def get_set_waveforms(
 def _windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, float]]:
     """Return the search windows of a set, s from the trigger; none without a reference time."""
     catalogue, method = context.catalogue(), METHODS[set_row.method]
-    set_filters: dict[str, object] = {"position": set_row.position, "set_index": set_row.set_index}
+    set_filters: dict[str, Any] = {"position": set_row.position, "set_index": set_row.set_index}
     result = next(iter(catalogue.rows(method.row, **set_filters, **method.of_sets)), None)
     if set_row.method == SOLITARY_WAVE:
         if not isinstance(result, FeatureRow) or result.isw_time_s is None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from fastapi import APIRouter
 
 from daq_service.alarms.states import SEVERITIES, retired_positions
@@ -43,7 +45,7 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     return JsonAnswer(_state(context, context.freshness(), position, state))
 
 
-def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, object]:
+def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, Any]:
     place = context.settings.positions[name]
     last = fresh.standing_word(stored or LatestRows(position=name, method=place.method))
     assessment, alarms = last.last_verdict, last.active_alarms

@@ -152,7 +152,7 @@ _UNITLESS = frozenset({"outlier", "outlier_paper", "in_baseline", "reason"})
 
 def measured_columns(
     context: Context, position: str, names: Sequence[str], first_h: float | None, last_h: float | None
-) -> dict[str, list[object]]:
+) -> dict[str, list[Any]]:
     """Read columns of the measured values of a position, one entry per set."""
     method = METHODS[context.settings.positions[position].method]
     filters: Filters = {"position": position, "first_h": first_h, "last_h": last_h, **method.of_sets}
@@ -161,7 +161,7 @@ def measured_columns(
 
 def read_columns(
     context: Context, position: str, fields: Sequence[str], from_h: float | None, last_h: float | None
-) -> dict[str, list[object]]:
+) -> dict[str, list[Any]]:
     """Read `COMMON` and the selected columns; a set without assessment has null in its columns."""
     measured_names = [
         name for name in fields if name in METHODS[context.settings.positions[position].method].values
@@ -194,7 +194,7 @@ _SETS_IN_A_BIN = {
 }
 
 
-def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, list[object]]:
+def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, list[Any]]:
     """Return columns as `read_columns`, with one entry per bin."""
     columns: dict[str, list[Any]] = {
         "set_index": bins["first_set"].astype(int).tolist(),
@@ -224,7 +224,7 @@ def _means(bins: NDArray[np.void], column: int) -> list[float]:
     return np.clip(mean, bins["minimum"][:, column], bins["maximum"][:, column]).tolist()  # type: ignore[no-any-return] # of NumPy
 
 
-def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, object]:
+def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, Any]:
     """Return the further values of bins: extremes, counts, first outliers and alarms."""
     names = [name for name in values_of(kind) if name in fields]
     column_of = {name: values_of(kind).index(name) for name in names}

@@ -7,7 +7,7 @@ import json
 import math
 import struct
 from collections.abc import Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
@@ -236,7 +236,7 @@ def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int
     return set_indices
 
 
-def _planes(picture: Picture, *, normalised: bool) -> np.ndarray[object, np.dtype[np.float32]]:
+def _planes(picture: Picture, *, normalised: bool) -> np.ndarray[Any, np.dtype[np.float32]]:
     """Return the minima and maxima of the cells, shape (2, rows, columns)."""
     if not picture.rows:
         return np.zeros((2, 0, picture.frame.n_cells), dtype=np.float32)
@@ -259,5 +259,5 @@ def _until_h(picture: Picture) -> list[float]:
     return ends
 
 
-def _nested_lists(plane: np.ndarray[object, np.dtype[np.float32]]) -> list[list[float | None]]:
+def _nested_lists(plane: np.ndarray[Any, np.dtype[np.float32]]) -> list[list[float | None]]:
     return [[None if math.isnan(value) else value for value in row] for row in plane.tolist()]

@@ -53,7 +53,7 @@ class EventSource(Protocol):
         ...
 
 
-def encode_event(row: Mapping[str, object]) -> EncodedEvent:
+def encode_event(row: Mapping[str, Any]) -> EncodedEvent:
     """Return a row as a frame of the stream (WHATWG HTML, server-sent events)."""
     data = orjson.dumps(row)
     frame = b"id: %d\nevent: %s\ndata: %s\n\n" % (row["id"], row["topic"].encode(), data)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache, partial
+from typing import Any
 
 from analysis.waves.features import FEATURE_NAMES
 from daq_service.acquisition.schedule import due_hours
@@ -16,7 +17,7 @@ from hardware_drivers.methods import SOLITARY_WAVE
 
 def published_baselines(
     catalogue: Catalogue, settings: Settings, epoch_utc_ns: int, position: str | None
-) -> list[tuple[BaselineRow, dict[str, object]]]:
+) -> list[tuple[BaselineRow, dict[str, Any]]]:
     """Return the baselines of a position (None: of all), the newest last, each with extra columns."""
     rows = catalogue.rows(BaselineRow, position=position)
     positions_with_baseline = {row.position for row in rows}

@@ -39,7 +39,7 @@ ALWAYS = (
 )
 """Columns that identify rows and state their quality: these are always exported."""
 
-Columns = Mapping[str, list[object]]
+Columns = Mapping[str, list[Any]]
 """Values of a page by column, nested ones as JSON text; None: not available."""
 
 
@@ -177,7 +177,7 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
     while True:
         rows: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **filters)
         if rows or is_first:
-            selected: list[object] = [
+            selected: list[Any] = [
                 row for row in rows if by_set or _is_inside(choice, row.raised_h, row.raised_h)
             ]
             if not by_set:

@@ -87,7 +87,7 @@ class _Drain(io.RawIOBase):
         """Return True."""
         return True
 
-    def write(self, content: object) -> int:
+    def write(self, content: Any) -> int:
         """Append bytes to the buffer."""
         n_bytes = len(memoryview(content).cast("B"))
         self._waiting += content
@@ -129,14 +129,14 @@ def _arrow_like(kind: str) -> Write:
     return write
 
 
-def arrow_field(arrow: object, column: PublishedColumn) -> object:
+def arrow_field(arrow: Any, column: PublishedColumn) -> Any:
     """Return the Arrow field of a column, with its unit."""
     kind = arrow.timestamp("ns", tz="UTC") if column.form == "time" else None
     kind = kind or getattr(arrow, _ARROW.get(column.form, "string"))()
     return arrow.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
 
 
-def arrow_array(arrow: object, of_type: object, values: list[object]) -> object:
+def arrow_array(arrow: Any, of_type: Any, values: list[Any]) -> Any:
     """Return the values of a column as Arrow array; None is null."""
     if arrow.types.is_timestamp(of_type):
         return arrow.array(values, type=arrow.string()).cast(of_type)
@@ -206,7 +206,7 @@ def mat_image(name: str, arrays: Mapping[str, NDArray[Any]], units: Mapping[str,
     content = io.BytesIO()
     columns = {
         # Texts become cells: MATLAB would pad the rows of a matrix of letters with blanks.
-        key: array.astype(object) if array.dtype.kind == "U" else array
+        key: array.astype(Any) if array.dtype.kind == "U" else array
         for key, array in arrays.items()
     }
     stored = {name: columns, "units": units, "facts": facts_text(facts)}

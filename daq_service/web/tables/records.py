@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +27,7 @@ MOST_SETS = 100_000
 BYTES_A_SAMPLE = 8
 
 
-def _column(name: str, form: object, unit: str = "") -> PublishedColumn:
+def _column(name: str, form: Any, unit: str = "") -> PublishedColumn:
     return PublishedColumn(name=name, form=form, unit=unit, nullable=name in ("quality",))
 
 

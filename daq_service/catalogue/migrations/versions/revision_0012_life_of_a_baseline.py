@@ -5,13 +5,15 @@ Those of an earlier version were approved automatically as they were frozen.
 
 from __future__ import annotations
 
+from typing import Any
+
 import sqlalchemy as sa
 from alembic import op
 
 revision = "0012"
 down_revision = "0010"
 
-ADDED: dict[str, sa.types.TypeEngine[object]] = {
+ADDED: dict[str, sa.types.TypeEngine[Any]] = {
     "approved_utc_ns": sa.BigInteger(),
     "retired_utc_ns": sa.BigInteger(),
     "retired_by": sa.String(),

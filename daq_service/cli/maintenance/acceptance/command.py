@@ -13,10 +13,11 @@ from daq_service.cli.maintenance.acceptance.contents import AcceptanceReport, as
 from daq_service.cli.maintenance.acceptance.criteria import with_limits
 from daq_service.cli.maintenance.acceptance.evidence import read_evidence
 from daq_service.cli.maintenance.acceptance.page import asked, interval, page
+from daq_service.cli.maintenance.export import refuse_target
 from daq_service.cli.maintenance.verify import verify_folder
-from daq_service.errors import EXIT_NOT_MET, EXIT_OK, StorageError, StorageUnavailableError, UsageError
-from daq_service.processes.data_folder import OWN_NAMES, refuse_other_folders
-from daq_service.shared_file import HINT_SUFFIX, write_durably
+from daq_service.errors import EXIT_NOT_MET, EXIT_OK, StorageError
+from daq_service.processes.data_folder import refuse_other_folders
+from daq_service.shared_file import write_output
 
 STANDARD_OUTPUT = "-"
 
@@ -44,7 +45,7 @@ def write_acceptance_report(
     json_file = None if to_json in (None, STANDARD_OUTPUT) else Path(str(to_json))
     refuse_other_folders(data_dir)
     for target in filter(None, (html, json_file)):
-        _refuse(data_dir, target, overwrite=overwrite)
+        refuse_target(data_dir, target, overwrite=overwrite)
     try:
         report = build_report(
             read_evidence(data_dir, verify_folder(data_dir, progress) if verify else None), criteria
@@ -58,10 +59,10 @@ def write_acceptance_report(
         from daq_service.cli.maintenance.acceptance.figures import picture
 
         pictures = {item.name: picture(item, report.gaps) for item in report.series if item.hours}
-        _write(html, page(report, pictures))
+        write_output(html, page(report, pictures))
     text = json.dumps(as_json(report), allow_nan=False)
     if json_file is not None:
-        _write(json_file, f"{text}\n".encode())
+        write_output(json_file, f"{text}\n".encode())
     click.echo(text if to_json == STANDARD_OUTPUT else "\n".join(_lines(report)))
     return EXIT_OK if report.outcome == "pass" else EXIT_NOT_MET
 
@@ -78,22 +79,3 @@ def _lines(report: AcceptanceReport) -> list[str]:
         for row in rows
     ]
     return [*lines, *(f"note: {note}" for note in report.notes), f"outcome: {report.outcome}"]
-
-
-def _refuse(folder: Path, target: Path, *, overwrite: bool) -> None:
-    """Raise an error for a target that must not be written."""
-    inside = target.absolute().is_relative_to(folder.absolute())
-    if inside and target.absolute().relative_to(folder.absolute()).parts[0] in OWN_NAMES:
-        raise UsageError(f"{target} would lie among the test's own files; choose another name")
-    if target.exists() and not overwrite:
-        raise UsageError(f"{target} exists; choose another name, or --overwrite")
-
-
-def _write(target: Path, content: bytes) -> None:
-    """Write a file durably."""
-    try:
-        write_durably(target, content, temporary=target.with_name(f".{target.name}{HINT_SUFFIX}"))
-    except OSError as error:
-        raise StorageUnavailableError(
-            f"{target} cannot be written: {error.strerror}; choose another"
-        ) from error

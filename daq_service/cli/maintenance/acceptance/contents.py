@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
+from typing import Any
 
 from daq_service.cli.maintenance.acceptance import conduct, faults, sets
 from daq_service.cli.maintenance.acceptance.criteria import Comparison, Criterion, compared, outcome
@@ -104,7 +105,7 @@ def _identity(evidence: Evidence) -> dict[str, str]:
     }
 
 
-def _listed(values: Mapping[str, object]) -> str:
+def _listed(values: Mapping[str, Any]) -> str:
     """Join names and values."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 

@@ -10,6 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.archive import ArchiveError, FolderSetReader
@@ -71,7 +72,7 @@ class Evidence:
     machine: Sequence[EventRow]
     alarm_events: Sequence[EventRow]
     alarms: Sequence[AlarmRow]
-    provenance: Mapping[str, object]
+    provenance: Mapping[str, Any]
     file_bytes: Mapping[int, int]
     forecast_bytes: float
     recorder: RecorderState

@@ -12,10 +12,10 @@ from daq_service.alarms.evidence import proof_sentences
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.transitions import transition
 from daq_service.catalogue.rows import values
-from daq_service.cli.offline.evidence.changes import NOT_COMPARED
-from daq_service.cli.offline.evidence.explanation import Explained, Recomputed
 from daq_service.cli.offline.evidence.figures import Picture
 from daq_service.clock import format_utc
+from daq_service.recording.reassessment.changes import NOT_COMPARED
+from daq_service.recording.reassessment.explanation import Explained, Recomputed
 from daq_service.web.report.page import STYLE, plain_text, table
 
 STATE = "averages"

@@ -8,11 +8,11 @@ import click
 import orjson
 
 from daq_service.cli.offline.evidence.alarm_page import facts_of, page_of, recomputation_text, title_of
-from daq_service.cli.offline.evidence.explanation import explained
-from daq_service.cli.offline.evidence.reassess import printed_progress
-from daq_service.errors import StorageUnavailableError, UsageError
+from daq_service.cli.terminal import print_progress_of_sets
+from daq_service.errors import UsageError
 from daq_service.processes.data_folder import new_folder
-from daq_service.shared_file import write_durably
+from daq_service.recording.reassessment.explanation import explained
+from daq_service.shared_file import write_output
 
 
 def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: bool, as_json: bool) -> None:
@@ -31,21 +31,15 @@ def run_explain(*, alarm_id: int, data_dir: Path, out: Path | None, overwrite: b
     page, facts_file = (folder / f"alarm-{alarm_id}.{ending}" for ending in ("html", "json"))
     if existing := [path for path in (page, facts_file) if path.exists() and not overwrite]:
         raise UsageError(f"{existing[0]} exists; choose another --out, or replace it with --overwrite")
-    found = explained(data_dir, alarm_id, printed_progress)
+    found = explained(data_dir, alarm_id, print_progress_of_sets)
     # Brings matplotlib along, which the rest does not need.
     from daq_service.cli.offline.evidence.figures import pictures_of
 
     facts = orjson.dumps(
         {**facts_of(found), "files": [str(page), str(facts_file)]}, option=orjson.OPT_SERIALIZE_NUMPY
     )
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for path, content in ((page, page_of(found, pictures_of(found))), (facts_file, facts)):
-            write_durably(path, content, temporary=path.with_name(f"{path.name}.part"))
-    except OSError as error:
-        raise StorageUnavailableError(
-            f"{folder} cannot be written: {error}; free or mend the disk"
-        ) from error
+    write_output(page, page_of(found, pictures_of(found)))
+    write_output(facts_file, facts)
     if as_json:
         click.echo(facts.decode())
         return

@@ -14,8 +14,8 @@ from matplotlib.figure import Figure
 from analysis.statistics.named_limits import CHART, DISTANCE, LIMITS
 from daq_service.alarms.evidence import FEATURES
 from daq_service.assessment.stored_limits import limits_by_name, statistic_of
-from daq_service.cli.offline.evidence.explanation import Explained, Recomputed
-from daq_service.cli.offline.evidence.pulses_of_sets import Pulses
+from daq_service.recording.reassessment.explanation import Explained, Recomputed
+from daq_service.recording.reassessment.pulses_of_sets import Pulses
 from daq_service.web.report.figures import (
     ABOVE,
     BLUE,

@@ -3,89 +3,22 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Mapping
-from contextlib import ExitStack
-from dataclasses import asdict, dataclass
-from functools import partial
+from collections.abc import Iterable
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-import click
-
-from analysis.waves.features import EXTRACTOR_VERSION
-from daq_service.archive import FolderSetReader
-from daq_service.assessment.baseline_lifecycle import baseline_range
-from daq_service.catalogue import Catalogue, open_catalogue
-from daq_service.catalogue.rows import AssessmentRow, FeatureRow
-from daq_service.cli.offline.evidence.changes import (
-    ASSESSED,
-    EXTRACTED,
-    AlarmChanges,
+from daq_service.cli.terminal import print_progress_of_sets
+from daq_service.errors import UsageError
+from daq_service.processes.executors import checked_name, usable_cores
+from daq_service.processes.printing import print_result
+from daq_service.recording.reassessment.changes import (
     Difference,
     Onset,
-    alarm_changes,
-    differences,
-    onsets,
 )
-from daq_service.cli.offline.evidence.features_ahead import ExtractedAhead
-from daq_service.cli.offline.evidence.other_settings import changed, parsed
-from daq_service.cli.offline.evidence.reassess import (
-    Progress,
-    assess_again,
-    printed_progress,
-    stored_features,
-    temporary_catalogue,
-)
-from daq_service.errors import UsageError
-from daq_service.processes.data_folder import refuse_other_folders
-from daq_service.processes.executors import checked_name, opened_executor, usable_cores, workers_of
-from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import in_order
-from hardware_drivers.methods import SOLITARY_WAVE
+from daq_service.recording.reassessment.replay import Replayed, replayed
 
 PROCESS_EVENTS = ("row", "cause", "outlier", "chart_alarm")
 """Columns that are listed first: the result of a set, before its numbers."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NotAssessed:
-    """All sets of a position belong to its baseline, or to one that is never complete.
-
-    Attributes
-    ----------
-    first_set_index, last_set_index
-        Sets that the baseline takes.
-    last_set
-        The position's last one.
-    told
-         Message with the remedy.
-    """
-
-    position: str
-    first_set_index: int
-    last_set_index: int
-    last_set: int
-    told: str
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Replayed:
-    """Result of a reassessment with other settings.
-
-    Attributes
-    ----------
-    extractor_version
-        Extractor of the assessed features.
-    """
-
-    experiment: str
-    changed: Mapping[str, Any]
-    extracted: bool
-    extractor_version: str
-    sets: int
-    not_assessed: list[NotAssessed]
-    alarms: AlarmChanges
-    differences: list[Difference]
 
 
 def run_replay(
@@ -103,110 +36,8 @@ def run_replay(
     by = None
     if extract:
         by = checked_name(executor or "threads", workers), workers or usable_cores()
-    found = replayed(data_dir, given, extract_by=by, progress=printed_progress)
-    if as_json:
-        click.echo(json.dumps(asdict(found)))
-        return
-    for line in in_words(found):
-        click.echo(line)
-
-
-def replayed(
-    folder: Path,
-    given: Iterable[str],
-    *,
-    extract_by: tuple[str, int] | None = None,
-    progress: Progress = lambda done, total: None,
-) -> Replayed:
-    """Reassess a stored test with changed settings, and compare with the stored results.
-
-    Parameters
-    ----------
-    given
-        ``KEY=VALUE`` each; without any the test's own settings are used.
-    extract_by
-        Executor and number of workers that take the features from the waveforms again; None: the stored ones.
-
-    Raises
-    ------
-    UsageError
-        A setting is invalid or does not concern the assessment, or stored features differ in extractor.
-    StorageError
-        There is no test, or a set of it cannot be read.
-    """
-    settings_given = parsed(tuple(given))
-    refuse_other_folders(folder)
-    with ExitStack() as stack:
-        stored = stack.enter_context(open_catalogue(folder))
-        experiment = stored.experiment_row()
-        settings = changed(experiment.configuration, settings_given)
-        again = stack.enter_context(temporary_catalogue(experiment))
-        assess_set = partial(assess_again, stored, again, folder, settings, progress=progress)
-        if extract_by is None:
-            versions = stored.columns(FeatureRow, ("extractor_version",))["extractor_version"]
-            extractor = _one_extractor(versions)
-            sets = assess_set(partial(stored_features, stored))
-        else:
-            extractor, (name, workers) = EXTRACTOR_VERSION, extract_by
-            executor = stack.enter_context(opened_executor(name, workers))
-            archive = FolderSetReader(folder)
-            files = archive.sets()
-            ahead = ExtractedAhead(
-                executor=executor,
-                workers=workers_of(executor, workers),
-                rehearsal=settings.rig.dry_run,
-                read=archive.read_set,
-                references=iter([files[index] for index in sorted(files, key=in_order)]),
-            )
-            sets = assess_set(ahead.features, read_set=ahead.read_set)
-        last = max(sets, key=in_order, default=None)
-        return Replayed(
-            experiment=experiment.name,
-            changed={".".join(path): value for path, value in settings_given.items()},
-            extracted=extract_by is not None,
-            extractor_version=extractor,
-            sets=len(sets),
-            not_assessed=[
-                one
-                for name in settings.names_of(SOLITARY_WAVE)
-                for one in _not_assessed(name, again, settings)
-            ],
-            alarms=alarm_changes(onsets(stored, last), onsets(again, last)),
-            differences=differences(
-                (*EXTRACTED, *ASSESSED) if extract_by else ASSESSED, stored, again, up_to_set=last
-            ),
-        )
-
-
-def _not_assessed(position: str, recomputed: Catalogue, settings: Settings) -> Iterator[NotAssessed]:
-    """Yield a message if no set of a position follows its baseline, since no alarm reports it."""
-    found = recomputed.columns(AssessmentRow, ("set_index", "in_baseline"), position=position)
-    if not all(found["in_baseline"]) or not found["set_index"]:
-        return
-    sets, last_set = (
-        baseline_range(position, settings, recomputed.baseline(position)),
-        max(found["set_index"]),
-    )
-    yield NotAssessed(
-        position=position,
-        first_set_index=sets.first_set,
-        last_set_index=sets.last_set,
-        last_set=last_set,
-        told=f"nothing is judged at {position}: baseline.hours = {settings.baseline.hours:g} makes the sets "
-        f"{sets.first_set} to {sets.last_set} the baseline, and the last one there is set {last_set}; "
-        "give fewer hours",
-    )
-
-
-def _one_extractor(versions: Iterable[str]) -> str:
-    """Raise an error for features of different extractors, which are different quantities."""
-    found = sorted(set(versions))
-    if len(found) > 1:
-        raise UsageError(
-            f"the stored features are of the extractors {' and '.join(found)}, which are different "
-            "quantities; take them all from the waveforms with --extract"
-        )
-    return found[0] if found else EXTRACTOR_VERSION
+    found = replayed(data_dir, given, extract_by=by, progress=print_progress_of_sets)
+    print_result(asdict(found), in_words(found), as_json=as_json)
 
 
 def in_words(found: Replayed) -> Iterable[str]:

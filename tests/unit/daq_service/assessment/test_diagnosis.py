@@ -1,10 +1,10 @@
 """Assessments have a diagnosis, keep its state across restarts, and raise the matching alarm."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.memory_archive import bits
 
 from analysis.diagnosis.diagnose import UNDETERMINED
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
@@ -14,18 +14,15 @@ from daq_service.alarms.evidence import evidence
 from daq_service.assessment import solitary_wave_step
 from daq_service.assessment.diagnosis import (
     Origin,
-    averages_of,
     diagnose_confirmation,
     diagnose_scheduled,
     diagnosis_details,
     diagnosis_text,
     next_origin,
-    origin_of,
-    origin_values,
-    restored_diagnosis_state,
 )
 from daq_service.assessment.signal_change import wall_conditions
 from daq_service.assessment.solitary_wave_step import Rules, SetOfShots, State, step
+from daq_service.assessment.stored_state import state_of, state_rows
 from daq_service.catalogue.rows import AssessmentRow
 
 LAST, SETS = 59, 100
@@ -159,14 +156,6 @@ def test_an_alarm_that_was_active_before_the_set_keeps_its_kind(monkeypatch):
     assert state.origin == Origin(not_wall=True)
 
 
-def test_a_restart_restores_the_origin_of_a_change():
-    kept = json.loads(json.dumps(origin_values(Origin(not_wall=True, n_contrary=3))))
-    assert origin_of(kept, UNDETERMINED) == Origin(not_wall=True, n_contrary=3)
-    # An earlier version kept none.
-    assert origin_of({}, SENSOR) == Origin(not_wall=True)
-    assert origin_of({}, UNDETERMINED) == Origin()
-
-
 def test_an_undetermined_cause_raises_the_wall_alarm():
     state, assessment = run(CHANGES[SENSOR])
     state = replace(state, origin=Origin())
@@ -205,21 +194,18 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     assert not any("not the chart" in sentence for sentence in evidence(by_chart.kind, by_chart.proof))
 
 
-def test_a_restart_continues_from_the_stored_diagnosis_state():
-    change = CHANGES[WALL]
-    state, uninterrupted = run(change)
-    before = State()
-    for item in sets(change)[: LAST + 20]:
-        before, _ = step(before, item, RULES)
-    kept = json.loads(json.dumps(averages_of(before.diagnosis_state)))
-    again = replace(before, diagnosis_state=restored_diagnosis_state(kept))
-    resumed, assessment = run(change, state=again, since=LAST + 20)
-    assert assessment.cause == uninterrupted.cause
-    assert resumed.diagnosis_state == state.diagnosis_state
-    assert restored_diagnosis_state({"average": [0.0]}) is None
-    # An earlier version did not store whether the last set had a wall diagnosis.
-    earlier = restored_diagnosis_state(kept | {"changes_count": kept["changes_count"][:2]})
-    assert earlier == replace(before.diagnosis_state, likely=False)
+def restarted(state):
+    """Return the state after a restart: stored and read."""
+    rows = state_rows(None, state, position="B", baseline_id=1, configuration_hash="")
+    return state_of(State, rows)
+
+
+def test_a_restart_continues_from_the_stored_state_bit_for_bit():
+    _, uninterrupted = run(CHANGES[WALL])
+    state = State()
+    for item in sets(CHANGES[WALL]):
+        state, assessment = step(restarted(state), item, RULES)
+    assert bits(assessment) == bits(uninterrupted)
 
 
 def test_a_set_without_an_incident_wave_width_keeps_the_diagnosis_state():
@@ -245,9 +231,8 @@ def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     design, values = state.baseline.causes, found[struck_after].values
     memory, confirmed = diagnose_confirmation(state.diagnosis_state, design, values)
     assert (confirmed.cause, confirmed.reseated) == (COUPLING, True)
-    kept = restored_diagnosis_state(json.loads(json.dumps(averages_of(memory))))
-    assert kept == memory
-    state, assessment = run(change, state=replace(state, diagnosis_state=kept), since=struck_after + 1)
+    confirmed_state = restarted(replace(state, diagnosis_state=memory))
+    state, assessment = run(change, state=confirmed_state, since=struck_after + 1)
     assert assessment.cause.cause == COUPLING
     wall, transducer = wall_conditions("B", state, RULES, row_of(assessment))
     assert (wall.present, transducer.present) == (False, True)

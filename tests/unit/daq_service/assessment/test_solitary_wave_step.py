@@ -192,15 +192,6 @@ def test_a_set_without_a_vector_does_not_change_the_chart():
         assert state_after([*assessed_sets, poor])[0].memory == state.memory
 
 
-def test_a_stored_assessment_is_used_without_a_new_computation():
-    sets = [*baseline(), *(set_summary(LAST + 1 + k, shift=0.02 * k) for k in range(6))]
-    live = states(sets)
-    state = state_after(baseline())[0]
-    state, assessment = step(state, sets[-2], RULES, live[-2][1])  # the sets between are not read again
-    assert assessment is live[-2][1]
-    assert step(state, sets[-1], RULES)[1] == live[-1][1]
-
-
 def test_the_chart_raises_an_alarm_during_a_persistent_change():
     changed = [set_summary(LAST + 1 + k, shift=0.1) for k in range(15)]
     alarming = [state.memory.alarming for state, _ in states([*baseline(), *changed])[LAST + 1 :]]

@@ -23,7 +23,7 @@ from daq_service.background.tiles import EVERY_S, SETS_A_TURN, TileMaker, add_re
 from daq_service.background.verification import QUIET_S
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.owner import experiment_identity
-from daq_service.recording.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild
 from hardware_drivers.measurement import PLANNED_SETS
 
 N_SETS = 6

@@ -15,7 +15,6 @@ from pathlib import Path
 import pytest
 from support.archived_sets import make_set
 from support.command_line import solimon_here
-from support.damaging import damaged
 from support.filed_archive import FiledArchive
 from support.kept_folder import SETS, lay_out, state_of
 from support.served_web import served
@@ -28,7 +27,6 @@ from daq_service.assessment.results_in_file import results_in
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import SetRow
-from daq_service.catalogue.tables import KINDS as KINDS_OF_ROWS
 from daq_service.cli.maintenance import backup, command
 from daq_service.cli.maintenance.backup import back_up
 from daq_service.cli.maintenance.verify import KINDS, verify_folder
@@ -38,7 +36,7 @@ from daq_service.errors import BusyError, StorageError, StorageUnavailableError
 from daq_service.processes.data_folder import CACHES, LOCKS, SOURCES, own_data_folder, settings_of_folder
 from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
 from daq_service.processes.notifications.delivery_log import Delivery, DeliveryLog
-from daq_service.recording.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild
 
 PAGE = Path(__file__).parents[4] / "docs" / "reference" / "data-folder.md"
 FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"
@@ -156,11 +154,6 @@ def test_results_are_compared_with_their_copy_in_the_file(folder, sql, message):
     assert any(
         f"set 1, {message}" in item.told or message in item.told for item in verify_folder(folder).damage
     )
-
-
-def test_results_of_another_extractor_version_are_not_compared(folder):
-    change(folder, "UPDATE features SET tof_pp_s = 1.0, extractor_version = '2' WHERE sequence = 12")
-    assert not any("in the file" in item.told for item in verify_folder(folder).damage)
 
 
 def test_missing_rows_before_later_ones_are_reported(folder):
@@ -324,34 +317,6 @@ def test_a_folder_without_a_test_does_not_pass(tmp_path):
     for place in (tmp_path, tmp_path / "gone"):
         code, answer = solimon("verify", "--data-dir", place)
         assert (code, "holds no test" in answer) == (4, True)
-
-
-def values_of(folder):
-    """Return what a reader gets of all tables."""
-    with open_catalogue(folder) as catalogue:
-        return {kind: catalogue.rows(kind) for kind in KINDS_OF_ROWS}
-
-
-def one_damaged_catalogue(folder, number):
-    """Corrupt a copy; return whether verify reports it, or check that it reads unchanged."""
-    content = lay_out(folder).joinpath("catalogue.sqlite").read_bytes()
-    before = values_of(folder)
-    for sidecar in folder.glob("catalogue.sqlite-*"):
-        sidecar.unlink()
-    (folder / "catalogue.sqlite").write_bytes(damaged(content, number))
-    if verify_folder(folder).damage:
-        return True
-    assert values_of(folder) == before, number
-    return False
-
-
-@pytest.mark.parametrize(
-    "numbers",
-    [range(8), *(pytest.param(range(n, n + 100), marks=pytest.mark.slow) for n in range(8, 1008, 100))],
-    ids=str,
-)
-def test_a_corrupt_catalogue_is_reported_or_reads_unchanged(tmp_path, numbers):
-    assert sum(one_damaged_catalogue(tmp_path / "data", number) for number in numbers) > 0
 
 
 # During a recording --------------------------------------------------------------------------------

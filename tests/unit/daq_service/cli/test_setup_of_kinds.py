@@ -10,8 +10,8 @@ from support.scripted_kinds import OFFERED, begin_script
 
 from daq_service.cli.main import cli
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.kinds import bench_of_kinds, take_kinds
-from daq_service.cli.set_up.transducers import Flags
+from daq_service.cli.set_up.kinds import Kinds, bench_of_kinds
+from daq_service.cli.set_up.transducers import Flags, set_up_transducers
 from daq_service.errors import BusyError, RigError, UsageError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.settings.file import load_settings
@@ -87,8 +87,9 @@ def test_a_strike_without_a_record_writes_nothing(file, script, tmp_path):
     script.comes = False
     bench = bench_of_kinds(["scripted-scope", "scripted-hammer"], [], file, tmp_path / "data")
     dialogue = Dialogue()
+    flags = Flags(transducers={"B": "scripted-scope/scripted-hammer"}, strike=True)
     with pytest.raises(RigError, match="B gave no record"):
-        take_kinds(dialogue, bench, Flags(transducers={"B": "scripted-scope/scripted-hammer"}, strike=True))
+        set_up_transducers(dialogue, Kinds(dialogue, bench), flags)
     assert any("no record (" in line and "nothing came at B" in line for line in dialogue.lines)
     assert not file.exists()
 

@@ -7,8 +7,8 @@ from pydantic import TypeAdapter, ValidationError
 from support.filled_folder import frozen_baseline
 
 from daq_service.catalogue.rows import AlarmRow, AlarmState, AnnotationRow
-from daq_service.commands.kinds import DeskOrder, Facts, Order
-from daq_service.commands.registry import KINDS, AnyOrder, parse_command
+from daq_service.commands.kinds import Command, Facts, StoredCommand
+from daq_service.commands.registry import KINDS, AnyCommand, parse_command
 from daq_service.errors import UsageError
 
 
@@ -36,7 +36,7 @@ def alarm(
     )
 
 
-def order(kind: str, **arguments: object) -> Order:
+def order(kind: str, **arguments: object) -> Command:
     return parse_command(kind, "ann", arguments)
 
 
@@ -79,7 +79,7 @@ def test_a_permitted_command_is_executed(kind: str) -> None:
 def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind: str, word: str) -> None:
     command = order(kind, **ARGUMENTS.get(kind, {}))
     refusal = command.forbidden(facts(**OPEN, recorder=word))
-    if isinstance(command, DeskOrder):
+    if isinstance(command, StoredCommand):
         assert refusal is None
     else:
         assert refusal is not None
@@ -90,7 +90,7 @@ def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind: str, wor
 def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: str) -> None:
     command = order(kind, **ARGUMENTS.get(kind, {}))
     refusal = command.forbidden(facts(**OPEN, recorder="silent", recorded=False))
-    assert (refusal is None) == isinstance(command, DeskOrder)
+    assert (refusal is None) == isinstance(command, StoredCommand)
     if refusal is not None:
         assert refusal.detail == "Nobody records this test: nobody would carry this out."
 
@@ -129,8 +129,8 @@ def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: st
         (
             "disable",
             {"alarms": [alarm("acknowledged")]},
-            "B is disabled already",
-            "B is disabled already: why.",
+            "B is disabled",
+            "B is disabled: why.",
             "Enable it when it is repaired.",
         ),
         (
@@ -159,7 +159,7 @@ def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: st
             {"alarms": [alarm("normal", position="C")]},
             "C is not disabled",
             "C is not disabled.",
-            "/api/v1/transducers tells which are, and why.",
+            "/api/v1/transducers lists which are, and why.",
         ),
         (
             "supply_on",
@@ -194,14 +194,14 @@ def test_a_rejection_has_the_expected_message(
 
 
 def test_every_kind_is_parsed_identically_from_row_and_web() -> None:
-    web: TypeAdapter[Order] = TypeAdapter(AnyOrder)
+    web: TypeAdapter[Command] = TypeAdapter(AnyCommand)
     for kind in KINDS:
         body = {"kind": kind, "author": "ann", "arguments": ARGUMENTS.get(kind, {})}
         assert web.validate_python(body) == order(kind, **ARGUMENTS.get(kind, {}))
 
 
 def test_a_command_without_an_author_does_not_switch_the_supply_on() -> None:
-    web: TypeAdapter[Order] = TypeAdapter(AnyOrder)
+    web: TypeAdapter[Command] = TypeAdapter(AnyCommand)
     with pytest.raises(ValidationError, match="author\n  Field required"):
         web.validate_python({"kind": "supply_on"})
     assert web.validate_python({"kind": "supply_off"}).author == "operator"

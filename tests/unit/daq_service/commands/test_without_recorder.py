@@ -13,7 +13,7 @@ from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.history import HistoryFollower, read_history
 from daq_service.catalogue.rows import AlarmRow, CommandRow, EventRow
-from daq_service.commands.kinds import DeskOrder, Facts, OrderRefusedError
+from daq_service.commands.kinds import CommandRejectedError, Facts, StoredCommand
 from daq_service.commands.registry import parse_command
 from daq_service.commands.without_recorder import carry_out_unattended
 from daq_service.errors import BusyError
@@ -51,7 +51,7 @@ def facts(catalogue: Catalogue) -> Facts:
 
 def acknowledge(folder: Path, alarm_id: int = 1) -> int:
     order = parse_command("acknowledge_alarm", "ann", {"alarm_id": alarm_id, "note": "seen"})
-    assert isinstance(order, DeskOrder)
+    assert isinstance(order, StoredCommand)
     return carry_out_unattended(folder, order, facts=facts, moment=lambda: NOW)
 
 
@@ -73,9 +73,9 @@ def test_a_forbidden_command_stores_nothing(tmp_path: Path) -> None:
     alarm_id = ended_test(tmp_path)
     acknowledge(tmp_path, alarm_id)
     before = read_history(tmp_path).last_number
-    with pytest.raises(OrderRefusedError, match="nothing to acknowledge"):
+    with pytest.raises(CommandRejectedError, match="nothing to acknowledge"):
         acknowledge(tmp_path, alarm_id)
-    with pytest.raises(OrderRefusedError, match="no current alarm 7"):
+    with pytest.raises(CommandRejectedError, match="no current alarm 7"):
         acknowledge(tmp_path, 7)
     with open_catalogue(tmp_path) as catalogue:
         assert len(catalogue.rows(CommandRow)) == 1
@@ -149,7 +149,7 @@ def test_a_killed_process_has_stored_all_changes_or_none(tmp_path: Path, point: 
     assert len(events) == 1 + done
     # A repeated command is done once, and the history has every line.
     if done:
-        with pytest.raises(OrderRefusedError, match="nothing to acknowledge"):
+        with pytest.raises(CommandRejectedError, match="nothing to acknowledge"):
             acknowledge(tmp_path, alarm_id)
     else:
         acknowledge(tmp_path, alarm_id)

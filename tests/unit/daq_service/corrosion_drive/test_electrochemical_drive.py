@@ -5,7 +5,7 @@ from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
 from daq_service.catalogue.rows import EnvironmentRow
-from daq_service.corrosion_drive.charge import Command, DriveState, restored_state
+from daq_service.corrosion_drive.charge import Command, DriveState
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import SupplyLogger, no_supply, summary
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
@@ -333,32 +333,6 @@ def test_the_current_limit_raises_its_alarm():
 
 
 # Restart -------------------------------------------------------------------------------------------
-
-
-def test_a_restart_continues_the_charge_and_does_not_switch(energised):
-    row = energised.drive.row(0, 0.0)
-    written_ns = energised.clock.utc_ns()
-    bench = Bench(restored_state(row, written_utc_ns=written_ns, parameters=PARAMETERS), on=True)
-    bench.clock.now_ns = written_ns
-    bench.clock.advance(1000.0)
-    bench.run(INTERVAL_S)
-    after = bench.summary()
-    assert after["charge_coulomb"] == row.charge_coulomb
-    assert after["unknown_s"] == pytest.approx(row.unknown_s + 1000.0 + row.supply_age_s, abs=1.0)
-    assert bench.supply.calls == ["read"]
-    assert bench.active() == set()
-    bench.run(INTERVAL_S)
-    assert bench.summary()["charge_coulomb"] == pytest.approx(row.charge_coulomb + 2.0, rel=1e-6)
-
-
-def test_a_trip_survives_a_restart():
-    bench = Bench(DriveState(tripped="hole at B"), on=True)
-    bench.run(INTERVAL_S)
-    assert not bench.supply.on
-    assert bench.active() == {"interlock_tripped", "supply_on_unexpectedly"}
-    bench.drive.energise("Ada")
-    assert bench.supply.on
-    assert bench.active() == set()
 
 
 # Commands are latched ------------------------------------------------------------------------------

@@ -290,13 +290,6 @@ def test_at_the_end_a_process_that_does_not_answer_is_replaced_by_one_that_switc
     assert not bench.supply.on
 
 
-def test_at_the_end_the_supply_is_off(bench: Bench) -> None:
-    bench.comes_up()
-    bench.answer(bench.remote.energise("Ada"))
-    bench.remote.switch_off_at_end()
-    assert not bench.supply.on
-
-
 def test_a_command_without_an_answer_at_the_recorder_s_end_is_followed_by_a_switch_off(bench: Bench) -> None:
     bench.comes_up()
     bench.wait_for_row(supply_quality="good")

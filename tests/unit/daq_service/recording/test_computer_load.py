@@ -18,7 +18,7 @@ from daq_service.processes import resource_use as own_use
 from daq_service.processes.disk_policy import DiskSpace
 from daq_service.recording.computer_load import MACHINE_READ, ComputerLoadWatch
 from daq_service.recording.cost import Cost
-from daq_service.recording.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild
 from hardware_drivers.errors import AcquisitionTimeoutError
 
 NOW_NS = 1_800_000_000_000_000_000

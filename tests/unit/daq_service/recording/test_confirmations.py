@@ -16,7 +16,7 @@ from analysis.diagnosis.hypotheses import COUPLING
 from daq_service.assessment.confirmation import ALARM, STEP, newest_confirmation
 from daq_service.catalogue.rows import AssessmentRow, CommandRow, FeatureRow, SetRow
 from daq_service.cli.maintenance.verify import verify_folder
-from daq_service.recording.rebuild import rebuild
+from daq_service.recording.reassessment.rebuild import rebuild
 from hardware_drivers.measurement import PLANNED_SETS, in_order
 
 SETS, FIRST = 22, 17

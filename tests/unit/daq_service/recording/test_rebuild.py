@@ -28,7 +28,7 @@ from daq_service.catalogue.tables import metadata
 from daq_service.clock import parse_utc
 from daq_service.processes.lost_catalogue import is_catalogue_lost
 from daq_service.recording.experiment import foreign_reason
-from daq_service.recording.rebuild import BUILDING, rebuild
+from daq_service.recording.reassessment.rebuild import BUILDING, rebuild
 from hardware_drivers.measurement import ShotKey
 
 
@@ -49,11 +49,16 @@ def rebuild_catalogue(line, **options):
     return rebuild(line.folder, features_of=line.features_of, **options)
 
 
+def not_computed(shot):
+    raise AssertionError(f"the history has the features of {shot.key}")
+
+
 def test_a_lost_catalogue_is_rebuilt_row_for_row(line):
     before = table_rows(line.folder)
     lose_catalogue(line.folder)
     calls = []
-    result = rebuild_catalogue(line, progress=lambda done, total: calls.append((done, total)))
+    progress = lambda done, total: calls.append((done, total))  # noqa: E731
+    result = rebuild(line.folder, features_of=not_computed, progress=progress)
     assert table_rows(line.folder) == before
     assert (result.kept, result.warnings, result.sets) == ("", [], len(set_files(line.folder)))
     assert calls[-1] == (result.sets, result.sets)

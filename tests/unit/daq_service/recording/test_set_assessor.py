@@ -6,14 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.memory_archive import MemoryArchive
+from support.memory_archive import MemoryArchive, bits
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
 from support.synthetic_records import Scene, waveform_of
+from support.table_rows import forget_states
 
 from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition.schedule import plan
 from daq_service.acquisition.taken_set import due_of as due_of_record
 from daq_service.archive.errors import ArchiveReadError
+from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueWriteError
 from daq_service.clock import parse_utc
@@ -32,12 +34,6 @@ def line(tmp_path):
     folder = tmp_path / "data"
     folder.mkdir()
     return Line(folder)
-
-
-@pytest.fixture(autouse=True)
-def looks_back_in_small_steps(monkeypatch):
-    """Limit the read block: a restart reads a year in two blocks, here even a few sets need more than one."""
-    monkeypatch.setattr("daq_service.assessment.restore_state.LOOK_BACK_SETS", (1, 3, 7, None))
 
 
 class Drive:
@@ -114,6 +110,8 @@ def test_a_restart_after_any_set_does_not_change_the_assessments(line):
         with assessor_of(again) as ledger:  # a new one for every set
             assess_set(ledger, again, record, f"sets/{record.set_index}")
     assert {name: again.rows(name) for name in expected} == expected
+    assert restored_states(again) == restored_states(line)
+    assert_rows_have_the_stored_states(again)
 
 
 def renewing_script(line):
@@ -158,33 +156,25 @@ def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
     stopped.run()
     for name in ("verdicts", "features", "baselines"):
         assert stopped.rows(name) == line.rows(name)
+    assert restored_states(stopped) == restored_states(line)
+    assert_rows_have_the_stored_states(line)
 
 
-def restored_state(line, monkeypatch, looks):
-    """Return the state of each transducer after a restart, and the number of sets read."""
-    read = []
+def restored_states(line):
+    """Return the state of each position after a restart, every bit of it."""
+    with assessor_of(line) as ledger:
+        return {name: bits(state) for name, state in ledger.assessors.states.items()}
 
-    def last_rows(self, kind, position, count, **filters):
-        rows = found(self, kind, position, count, **filters)
-        read.append(len(rows))
-        return rows
 
-    found = RecorderCatalogue.last_rows
-    monkeypatch.setattr("daq_service.assessment.restore_state.LOOK_BACK_SETS", looks)
-    with monkeypatch.context() as patched, assessor_of(line) as ledger:
-        patched.setattr(RecorderCatalogue, "last_rows", last_rows)
-        with assessor_of(line):
-            pass
-        states = [ledger._assessors[name]._state for name in "BCD"]
-    known = [
-        (state.alarm, state.hole, state.poor_sets, [found.set_index for found in state.healthy])
-        for state in states
-    ]
-    return known, max(read)
+def assert_rows_have_the_stored_states(line):
+    """Check that the rows of all sets give the states that are stored."""
+    expected = restored_states(line)
+    forget_states(line.folder)
+    assert restored_states(line) == expected
 
 
 @pytest.mark.parametrize("seed", [0, 1, *(pytest.param(n, marks=pytest.mark.slow) for n in range(2, 8))])
-def test_a_restart_from_the_last_sets_has_the_state_of_all_sets(line, monkeypatch, seed):
+def test_the_stored_state_is_that_of_all_stored_sets(line, seed):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 45.0, "interval_h": 1.0}], "shots_per_set": 3},
         baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 2},
@@ -200,12 +190,28 @@ def test_a_restart_from_the_last_sets_has_the_state_of_all_sets(line, monkeypatc
 
     line.script = script
     line.run()
-    expected, _ = restored_state(line, monkeypatch, (None,))
-    assert restored_state(line, monkeypatch, (2, 4, 9, None))[0] == expected
-    assert len({str(known[:3]) for known in expected}) > 1, "there is something to know"
+    assert_rows_have_the_stored_states(line)
+    assert len({str(state[3:]) for state in restored_states(line).values()}) > 1, "there is something to know"
 
 
-def test_a_restart_restores_an_old_active_alarm(line, monkeypatch):
+def test_a_restart_reads_the_stored_states_and_no_sets(line, monkeypatch):
+    line.run(pulse_echo=ThinningWall())
+
+    def refused(*_):
+        raise AssertionError("a state is computed again")
+
+    monkeypatch.setattr("daq_service.assessment.restore_state.follow_stored_sets", refused)
+    restored_states(line)
+    # The settings that a state was computed with are part of it, and so is its format.
+    other = memory_settings(alarms={"k": 1})
+    with line.catalogue(writer=True) as catalogue, pytest.raises(AssertionError, match="computed again"):
+        SetAssessor(other, MemoryArchive(line.shelf), catalogue, None, Cost())
+    monkeypatch.setattr("daq_service.assessment.stored_state.STATE_FORMAT", 0)
+    with pytest.raises(AssertionError, match="computed again"):
+        restored_states(line)
+
+
+def test_a_restart_from_stored_rows_restores_an_old_active_alarm(line):
     line.settings = memory_settings(
         schedule={"phases": [{"until_h": 40.0, "interval_h": 1.0}], "shots_per_set": 1},
         baseline={"hours": 16.0, "minimum_sets": 15, "minimum_valid_shots": 1},
@@ -214,14 +220,9 @@ def test_a_restart_restores_an_old_active_alarm(line, monkeypatch):
     # Two consecutive outliers raise it; one in three neither clears nor raises it.
     line.script = lambda key: healthy(key, shift=0.5 * (key.set_index in (17, 18, *range(20, 40, 3))))
     line.run()
-    known, _ = restored_state(line, monkeypatch, (4, None))
-    assert [alarm.active for alarm, *_ in known] == [True] * 3
-
-
-def test_a_restart_in_a_healthy_test_reads_the_last_sets_only(line, monkeypatch):
-    line.run()
-    _, most = restored_state(line, monkeypatch, (6, None))
-    assert most == 6
+    forget_states(line.folder)
+    with assessor_of(line) as ledger:
+        assert [ledger.assessors[name].state.alarm.active for name in "BCD"] == [True] * 3
 
 
 def test_a_hole_trips_the_supply_immediately_and_once(line):
@@ -272,7 +273,9 @@ def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
 def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
     line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
     with recorded(line, 2) as (ledger, again, records):
-        ledger.reinstated("D")
+        ledger.assessors.reinstate("D")
+        ledger.commit(Transaction())
+        assert restored_states(again)["D"] == bits(ledger.assessors["D"].state)
         assess_set(ledger, again, *records[2])
         assert "D" not in ledger.retired()
 
@@ -301,6 +304,7 @@ def test_a_restart_restores_an_enabled_transducer(line):
     run_until(line, "C", 3, script)  # D retired after three poor sets: C's is the last strike
     line.order("enable", position="D")
     run_until(line, "D", 4, script)
+    assert_rows_have_the_stored_states(line)
     line.script = script
     line.run()
     assert [row.state for row in line.rows("sets", "D")] == ["done"] * 3 + ["retired"] + ["done"] * 8
@@ -316,6 +320,7 @@ def test_after_a_restart_a_repeated_shot_does_not_count_for_a_hole(line):
 
     run_until(line, "D", 1, script)
     assert [shot.outcome for shot in line.rows("shots", "B")].count("superseded") == 2
+    assert_rows_have_the_stored_states(line)
     line.script = script
     line.run()
     assert "B" not in {row.position for row in line.rows("alarms") if row.kind == "hole"}
@@ -345,6 +350,7 @@ def test_a_restart_measures_the_wall_from_the_first_echo_of_the_test(line):
     line.script = ended_after("D", 5, stop, healthy)
     assert not line.run(stop=stop, pulse_echo=ThinningWall())
     line.script = healthy
+    assert_rows_have_the_stored_states(line)
     line.run(pulse_echo=ThinningWall())
     lost_m = [row.thickness_loss_m for row in line.rows("thickness")]
     # 1e-6 m: a hundredth of a sample of the echo's carrier, twenty times below the loss of a set.
@@ -359,6 +365,7 @@ def test_a_later_echo_is_the_reference_if_the_first_record_is_lost(line, caplog)
     for index in (0, 1):
         (file,) = (file for file, record in line.shelf.sets.items() if record.set_index == index)
         del line.shelf.sets[file]
+    forget_states(line.folder)
     line.run(pulse_echo=ThinningWall())
     lost_m = [row.thickness_loss_m for row in line.rows("thickness")]
     # As without the loss: the times of the third set are those that the lost record gave it.
@@ -368,6 +375,7 @@ def test_a_later_echo_is_the_reference_if_the_first_record_is_lost(line, caplog)
 
 def test_a_temporary_read_error_does_not_change_the_reference_echo(line, monkeypatch):
     line.run(pulse_echo=ThinningWall())
+    forget_states(line.folder)
 
     def refused(archive, *_):
         raise ArchiveReadError("too many open files")

@@ -8,7 +8,7 @@ from contextlib import ExitStack
 from pathlib import Path
 
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import FilledFolder, filled_folder
 from support.receivers import HttpReceiver, http_receiver
 from support.reported_alarms import notifying
 from support.served_web import served
@@ -36,10 +36,8 @@ def filled(tmp_path: Path, receiver: HttpReceiver) -> Iterator[FilledFolder]:
     settings = notifying(
         {"duty": {"url": receiver.url, "secret_env": "DUTY_SECRET"}}, rules=[{"group_s": 0.0}]
     )
-    folder = FilledFolder(tmp_path, settings)
-    folder.add_set(0, stored=False)
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path, settings, sets=1) as folder:
+        yield folder
 
 
 def beat(folder: Path, *, deadline_s: float) -> None:
@@ -50,14 +48,6 @@ def alarm(filled: FilledFolder, receiver: HttpReceiver, kind: str) -> list[str]:
     """Raise an alarm; return the kinds in the next message."""
     filled.add_alarm("B", 0, kind=kind, message=f"{kind} is there")
     return [item["kind"] for item in receiver.next().message["alarms"]]
-
-
-def test_without_a_web_service_the_standby_process_sends(
-    filled: FilledFolder, receiver: HttpReceiver
-) -> None:
-    with standing_by(filled.settings, filled.folder, monitors_recorder=False):
-        until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
-        assert alarm(filled, receiver, "hole") == ["hole"]
 
 
 def test_the_web_service_and_the_standby_process_continue_each_other(

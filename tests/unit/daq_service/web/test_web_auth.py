@@ -11,7 +11,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import DEADLINE_S, served
 from support.waiting import until
 from websockets.exceptions import InvalidStatus
@@ -34,10 +34,9 @@ DUE = "/api/v1/info"
 
 @pytest.fixture
 def filled(tmp_path):
-    folder = FilledFolder(tmp_path, Settings())
-    folder.add_set(0, stored=False, shown=True)
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path) as folder:
+        folder.add_set(0, stored=False, shown=True)
+        yield folder
 
 
 @pytest.fixture
@@ -253,17 +252,6 @@ def test_an_oversized_cookie_is_refused(filled):
     with served(filled.settings, filled.folder) as service, service.client() as api:
         answer = api.get(DUE, headers={"Cookie": "solimon=" + "c" * LARGEST_HEADERS_BYTES})
     assert answer.status_code == 431
-
-
-@pytest.mark.parametrize(
-    ("headers", "status"), [({"Host": "evil.example"}, 400), ({"Origin": "http://evil.example"}, 403)]
-)
-def test_a_token_is_rejected_for_a_foreign_host_or_origin(filled, tokens, headers, status):
-    _, text = create_token(tokens, "ann", "admin")
-    with served(filled.settings, filled.folder) as service, service.client() as api:
-        bearer = {"Authorization": f"Bearer {text}"}
-        assert api.post("/api/v1/commands", json=HOLD, headers=bearer | headers).status_code == status
-        assert api.post("/api/v1/commands", json=HOLD, headers=bearer).status_code == 202
 
 
 def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):
@@ -506,4 +494,4 @@ def test_a_full_audit_log_does_not_prevent_a_pause(filled, monkeypatch, caplog):
     monkeypatch.setattr("daq_service.processes.line_file.append_durably", refuse)
     with served(filled.settings, filled.folder) as service, service.client() as api:
         assert api.post("/api/v1/commands", json=HOLD).status_code == 202
-    assert "not in audit.jsonl: hold accepted mallory" in caplog.text
+    assert "not in audit.jsonl: pause accepted mallory" in caplog.text

@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from support.filled_folder import LIMIT_CHART, FilledFolder
+from support.filled_folder import LIMIT_CHART, filled_folder
 from support.served_web import served
 from support.small_experiment import AtOnce
 
@@ -39,18 +39,17 @@ OF_SERIES = {
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
-    for index in range(N_SETS):
-        folder.add_set(index, stored=index in (0, N_SETS - 1))
-    alarm = folder.add_alarm("B", 52)
-    folder.acknowledge(alarm, CommandDouble(author="ann", arguments={"note": NOTE}, id=give(folder)))
-    folder.shelve(folder.add_alarm("C", 10), "a new coil comes", for_h=1.0)
-    folder.annotate(3.0, "couplant <renewed>", to_h=5.5, position="B")
-    folder.annotate(20.0, "door open")
-    for index in (N_SETS, N_SETS + 1, N_SETS + 3):
-        folder.catalogue.commit_set(SetCommit(sets=[missed(folder, index)]))
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path_factory.mktemp("data")) as folder:
+        for index in range(N_SETS):
+            folder.add_set(index, stored=index in (0, N_SETS - 1))
+        alarm = folder.add_alarm("B", 52)
+        folder.acknowledge(alarm, CommandDouble(author="ann", arguments={"note": NOTE}, id=give(folder)))
+        folder.shelve(folder.add_alarm("C", 10), "a new coil comes", for_h=1.0)
+        folder.annotate(3.0, "couplant <renewed>", to_h=5.5, position="B")
+        folder.annotate(20.0, "door open")
+        for index in (N_SETS, N_SETS + 1, N_SETS + 3):
+            folder.catalogue.commit_set(SetCommit(sets=[missed(folder, index)]))
+        yield folder
 
 
 class CommandDouble:

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import httpx
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import FilledFolder, filled_folder
 from support.served_web import DEADLINE_S, served, served_app, stream_events, take
 
 from daq_service.errors import StorageError
@@ -21,10 +21,8 @@ HEARTBEAT = b'event: heartbeat\ndata: {"interval_s":0.02}\n\n'
 
 @pytest.fixture
 def filled(tmp_path):
-    folder = FilledFolder(tmp_path, Settings())
-    folder.add_set(0, stored=False)
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path, sets=1) as folder:
+        yield folder
 
 
 @pytest.fixture

@@ -16,13 +16,12 @@ import silx.io
 import silx.io.nxdata
 from pyarrow import parquet
 from scipy.io import loadmat
-from support.filled_folder import LIMIT_CHART, FilledFolder, frozen_baseline
+from support.filled_folder import LIMIT_CHART, filled_folder, frozen_baseline
 from support.served_web import served
 
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.published_columns import with_parts
 from daq_service.catalogue.rows import AlarmRow
-from daq_service.settings.tree import Settings
 from daq_service.web.routes import tables
 from daq_service.web.tables import choice
 from daq_service.web.tables.choice import TABLES
@@ -36,27 +35,26 @@ LISTED = {"shot_features": ("features", {"scope": "shot"})}
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
-    assessment_of = folder.assessment
+    with filled_folder(tmp_path_factory.mktemp("data"), shots_per_set=2) as folder:
+        assessment_of = folder.assessment
 
-    def with_a_cause(position, index, hour):
-        row = assessment_of(position, index, hour)
-        return replace(row, cause_told=DIAGNOSIS) if (position, index) == ("B", 55) else row
+        def with_a_cause(position, index, hour):
+            row = assessment_of(position, index, hour)
+            return replace(row, cause_told=DIAGNOSIS) if (position, index) == ("B", 55) else row
 
-    folder.assessment = with_a_cause
-    for index in range(N_SETS):
-        folder.add_set(index, stored=index == 0, assessed=index != 7)
-        folder.add_environment(index)
-    folder.shelve(folder.add_alarm("B", 55), "a new coil comes", for_h=1.0)
-    folder.annotate(3.0, to_h=5.5, position="B", text="couplant, renewed\nby hand")
-    folder.annotate(4.0, "an instant")
-    folder.add_confirmation("C", 10)
-    frozen = frozen_baseline("B", id=2, readiness=READINESS)
-    folder.catalogue.commit_set(SetCommit(baselines=[frozen]))
-    whole = {"severity": "critical", "kind": "disk_space", "message": "Ø, 5 %"}
-    folder.shelve(folder.add_alarm(None, 50, state="acknowledged", **whole), "a disk comes", for_h=72.0)
-    yield folder
-    folder.close()
+        folder.assessment = with_a_cause
+        for index in range(N_SETS):
+            folder.add_set(index, stored=index == 0, assessed=index != 7)
+            folder.add_environment(index)
+        folder.shelve(folder.add_alarm("B", 55), "a new coil comes", for_h=1.0)
+        folder.annotate(3.0, to_h=5.5, position="B", text="couplant, renewed\nby hand")
+        folder.annotate(4.0, "an instant")
+        folder.add_confirmation("C", 10)
+        frozen = frozen_baseline("B", id=2, readiness=READINESS)
+        folder.catalogue.commit_set(SetCommit(baselines=[frozen]))
+        whole = {"severity": "critical", "kind": "disk_space", "message": "Ø, 5 %"}
+        folder.shelve(folder.add_alarm(None, 50, state="acknowledged", **whole), "a disk comes", for_h=72.0)
+        yield folder
 
 
 @pytest.fixture(scope="module")

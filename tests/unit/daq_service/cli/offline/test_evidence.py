@@ -18,11 +18,12 @@ from support.life_of_a_test import lived
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.assessment.baseline_lifecycle import approve
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow
-from daq_service.cli.offline.evidence import replay
-from daq_service.cli.offline.evidence.changes import Onset, alarm_changes
-from daq_service.cli.offline.evidence.other_settings import assessment_keys, changed, parsed
-from daq_service.cli.offline.evidence.replay import in_words, replayed
+from daq_service.cli.offline.evidence.replay import in_words
 from daq_service.errors import UsageError
+from daq_service.recording.reassessment import replay
+from daq_service.recording.reassessment.changes import Onset, alarm_changes
+from daq_service.recording.reassessment.other_settings import assessment_keys, changed, parsed
+from daq_service.recording.reassessment.replay import replayed
 
 
 @pytest.fixture(scope="module")
@@ -93,6 +94,12 @@ def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, ex
     assert raised_sets(found.alarms.kept) == RAISED
     assert [*found.alarms.come, *found.alarms.go, *found.alarms.moved] == []
     assert content_of(line.folder) == before
+
+
+def test_averages_of_an_earlier_version_are_no_difference(changed_line, line):
+    (row,) = [row for row in line.rows("verdicts", "B") if row.set_index == 20]
+    folder = changed_line(AssessmentRow, 20, averages=row.averages | {"changes_count": [5.0, 0.0]})
+    assert replayed(folder, ()).differences == []
 
 
 def test_a_replay_keeps_commands_and_empty_sets_in_their_order(life):

@@ -28,7 +28,9 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
 )
-from daq_service.cli.offline.evidence.changes import (
+from daq_service.errors import UsageError
+from daq_service.processes.data_folder import refuse_other_folders
+from daq_service.recording.reassessment.changes import (
     ASSESSED,
     EXTRACTED,
     NOT_COMPARED,
@@ -38,15 +40,13 @@ from daq_service.cli.offline.evidence.changes import (
     differing_columns,
     onsets,
 )
-from daq_service.cli.offline.evidence.pulses_of_sets import Pulses, pulses_of
-from daq_service.cli.offline.evidence.reassess import (
-    Progress,
+from daq_service.recording.reassessment.pulses_of_sets import Pulses, pulses_of
+from daq_service.recording.reassessment.reassess import (
     assess_again,
     extracted_features,
     temporary_catalogue,
 )
-from daq_service.errors import UsageError
-from daq_service.processes.data_folder import refuse_other_folders
+from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE

@@ -13,7 +13,7 @@ QUERY = "one parameter for each query parameter of the route, as FastAPI reads t
 EXCEPTIONS = {
     ("daq_service/archive/journal/frames.py", "_frame", "parameters"): "one for each field of the format",
     ("daq_service/assessment/solitary_wave.py", "SolitaryWaveAssessor", "class"): (
-        "one state that each method reads; its stored state is to replace the replay first"
+        "one state of a position that each method reads or changes"
     ),
     (
         "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
@@ -26,10 +26,18 @@ EXCEPTIONS = {
     ("daq_service/cli/set_up/setup.py", "run_setup", "parameters"): OPTIONS,
     ("daq_service/cli/simulate.py", "print_simulation", "parameters"): OPTIONS,
     ("daq_service/commands/send.py", "send_command", "parameters"): "two times and a pause for tests",
-    ("daq_service/corrosion_drive/drive.py", "SupplyLogger", "class"): "to become parts with the new kinds",
-    ("daq_service/corrosion_drive/remote.py", "RemoteDrive", "class"): "mirrors `SupplyLogger` in a process",
+    (
+        "daq_service/corrosion_drive/drive.py",
+        "SupplyLogger",
+        "class",
+    ): "each reading and command changes one state",
+    (
+        "daq_service/corrosion_drive/remote.py",
+        "RemoteDrive",
+        "class",
+    ): "one connection and the requests on it",
     ("daq_service/processes/notifications/receiver.py", "ReceiverQueue", "class"): (
-        "messages and heartbeat of a receiver share its connection and its state"
+        "messages and heartbeats of a receiver share its state"
     ),
     ("daq_service/processes/notifications/receiver.py", "ReceiverQueue.__init__", "parameters"): (
         "two clocks and chance for tests"
@@ -39,21 +47,16 @@ EXCEPTIONS = {
         "Supervisor.__init__",
         "parameters",
     ): "tests replace processes and times",
-    ("daq_service/web/report/contents.py", "read_contents", "function"): (
-        "one keyword argument for each field of the report"
-    ),
     ("daq_service/web/routes/tables.py", "get_table", "parameters"): QUERY,
     ("daq_service/web/routes/waterfall.py", "get_waterfall", "function"): "half of it describes parameters",
     ("daq_service/web/routes/waterfall.py", "get_waterfall", "parameters"): QUERY,
     ("daq_service/web/routes/waveforms.py", "get_waveform", "function"): "half of it describes parameters",
-    ("hardware_drivers/daqmx/chassis.py", "Chassis", "class"): "one lock for every task of a chassis",
     ("hardware_drivers/serial_port/line.py", "SerialLine", "class"): "one port and one recovery",
     ("analysis/statistics/bins.py", "bins_of_sets", "parameters"): "one array for each column",
     ("simulator/electronics/transduction.py", "triggered_record", "parameters"): "numerical kernel",
     ("simulator/shot/kernel.py", "_advance_mode", "parameters"): "numerical kernel",
     ("simulator/shot/kernel.py", "_time_loop", "function"): "numerical kernel",
     ("simulator/shot/kernel.py", "_time_loop.integrate", "function"): "numerical kernel",
-    ("simulator/shot/model.py", "ShotModel", "class"): "numerical kernel",
     ("simulator/zener/model.py", "inelasticity_parameter", "parameters"): "numerical kernel",
 }
 

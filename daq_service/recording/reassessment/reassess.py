@@ -15,13 +15,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import click
-
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures
 from daq_service.acquisition.taken_set import due_of, features_of, features_of_a_rehearsal
 from daq_service.alarms.states import (
     AFTER_ACKNOWLEDGEMENT,
-    RETIRING,
     Change,
     Moment,
     acknowledge,
@@ -41,8 +38,9 @@ from daq_service.catalogue.rows import (
     ShotRow,
 )
 from daq_service.catalogue.store import open_for_a_while
-from daq_service.cli.offline.evidence.changes import LIFE
 from daq_service.recording.cost import Cost
+from daq_service.recording.reassessment.changes import LIFE
+from daq_service.recording.reassessment.stored_runs import Progress, repeat_action, row_of, runs_of
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PLANNED_SETS, Shot, in_order
@@ -51,7 +49,6 @@ from hardware_drivers.nanoseconds import NS_PER_H
 FeaturesOfSet = Callable[[SetRecord], Mapping[int, ShotFeatures]]
 """Features of a set's shots by their sequence."""
 ReadSet = Callable[[SetReference], SetRecord]
-Progress = Callable[[int, int], None]
 
 
 @contextmanager
@@ -155,31 +152,31 @@ class _Reassessment:
 
     def run(self, up_to_set: int | None, progress: Progress) -> set[int]:
         """Reassess the sets in their order and return their indices."""
-        events = [
-            event
-            for event in self._stored.rows(EventRow, topics=("sets", "alarms", "verdicts"))
-            if event.topic != "verdicts" or event.kind in STEPS
-        ]
-        total = len({event.set_index for event in events if self._is_set(event, up_to_set)})
+        events = self._stored.rows(EventRow, topics=("sets", "alarms", "verdicts"))
+        last = None if up_to_set is None else in_order(up_to_set)
+        total = len(
+            {
+                event.set_index
+                for event in events
+                if event.topic == "sets"
+                and event.set_index is not None
+                and (last is None or in_order(event.set_index) <= last)
+            }
+        )
         done: set[int] = set()
-        for event in events:
-            if event.kind in STEPS:
-                self._repeat_baseline_action(event)
-            elif event.set_index is None:
-                self._repeat_alarm_action(event)
-            elif self._is_set(event, up_to_set) and event.set_index not in done:
-                self._take_set(event.set_index)
-                done.add(event.set_index)
+        for set_index, run in runs_of(events):
+            if set_index is None:
+                for event in run:
+                    self._repeat_action(event)
+            elif (last is None or in_order(set_index) <= last) and any(
+                event.topic == "sets" for event in run
+            ):
+                self._take_set(set_index)
+                done.add(set_index)
                 progress(len(done), total)
-                if event.set_index == up_to_set:
+                if set_index == up_to_set:
                     break
         return {index for index in done if index < PLANNED_SETS}
-
-    @staticmethod
-    def _is_set(event: EventRow, up_to_set: int | None) -> bool:
-        if event.topic != "sets" or event.set_index is None:
-            return False
-        return up_to_set is None or in_order(event.set_index) <= in_order(up_to_set)
 
     def _take_set(self, set_index: int) -> None:
         """Assess a set from its file or its rows."""
@@ -203,11 +200,16 @@ class _Reassessment:
                 for condition in self._assessor.passed(row):
                     self._assessor.update_alarm(condition, moment)
 
-    def _repeat_baseline_action(self, event: EventRow) -> None:
+    def _repeat_action(self, event: EventRow) -> None:
+        """Repeat a person's action."""
+        if event.kind in STEPS:
+            self._repeat_baseline_action(row_of(BaselineRow, event))
+        else:
+            self._repeat_alarm_action(event)
+        repeat_action(event, self._assessor.assessors, self._settings.positions)
+
+    def _repeat_baseline_action(self, stored: BaselineRow) -> None:
         """Repeat a person's action on a baseline; its numbers are those of this assessment."""
-        stored = BaselineRow(
-            **{name: event.payload[name] for name in BaselineRow.__slots__ if name in event.payload}
-        )
         rows = {row.id: row for row in self._again.rows(BaselineRow, position=stored.position)}
         if (present := rows.get(stored.id)) is not None:
             step = {name: getattr(stored, name) for name in LIFE}
@@ -218,7 +220,6 @@ class _Reassessment:
             )
             last_set = stored.first_set_index + baseline_plan.last_set - baseline_plan.first_set
             self._again.restore([replace(stored, last_set_index=last_set)])
-        self._assessor.renewed(stored.position)
 
     def _repeat_alarm_action(self, event: EventRow) -> None:
         """Repeat a person's action on an alarm, if it is active in this assessment."""
@@ -232,8 +233,7 @@ class _Reassessment:
         note = event.payload.get("note") or ""
         change = None
         if event.kind == "alarm_raised":  # by a person's command, or not from records
-            columns = {name: event.payload[name] for name in AlarmRow.__slots__ if name in event.payload}
-            change = Change(row=AlarmRow(**{**columns, "id": None}), event_kind=event.kind)
+            change = Change(row=replace(row_of(AlarmRow, event), id=None), event_kind=event.kind)
         elif row is not None and event.kind == "alarm_acknowledged" and row.state in AFTER_ACKNOWLEDGEMENT:
             change = acknowledge(row, author, note, moment)
         elif row is not None and event.kind == "alarm_reset" and row.state != "normal":
@@ -242,10 +242,3 @@ class _Reassessment:
             transaction = Transaction()
             transaction.add_alarm(change, moment)
             self._assessor.commit(transaction)
-        if event.kind == "alarm_reset" and kind in RETIRING and event.position in self._settings.positions:
-            self._assessor.reinstated(event.position)
-
-
-def printed_progress(done: int, total: int) -> None:
-    """Print the progress to standard error."""
-    click.echo(f"\rset {done} of {total} ", nl=done == total, err=True)

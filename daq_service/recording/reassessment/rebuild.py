@@ -1,11 +1,11 @@
-"""Rebuild a catalogue: reassess the sets; restore what cannot be computed from history and old rows."""
+"""Rebuild a catalogue from history, old rows and set files; compute only what they lack."""
 
 from __future__ import annotations
 
 import logging
 import os
 import shutil
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import partial
@@ -30,7 +30,13 @@ from daq_service.catalogue.owner import experiment_identity, refuse_other_experi
 from daq_service.catalogue.salvage import Salvaged, read_sound_rows
 from daq_service.processes.lost_catalogue import read_folder_history
 from daq_service.recording.experiment import kept_experiment, refuse_foreign
-from daq_service.recording.replay import FeaturesOf, Replayed, StoredHistory, replay
+from daq_service.recording.reassessment.restore_rows import (
+    FeaturesOf,
+    Restored,
+    StoredHistory,
+    restore_rows,
+)
+from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently, sync_folder
@@ -39,7 +45,6 @@ log = logging.getLogger(__name__)
 
 BUILDING = "rebuilding"
 """Folder in which the new catalogue is made."""
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,7 +118,7 @@ def rebuild(
         with open_catalogue(place, writer=True) as catalogue:
             catalogue.restore([experiment, *orders.values()])
             its_settings = stored_settings(experiment.configuration)
-            found = replay(its_settings, experiment, archive, catalogue, stored, progress, features_of)
+            found = restore_rows(its_settings, experiment, archive, catalogue, stored, progress, features_of)
             refuse_foreign(found.foreign, str(folder))
             catalogue.recount()
             n_events = catalogue.counts()["events"]
@@ -177,7 +182,7 @@ def _update_copies(folder: Path, progress: Progress) -> list[str]:
         )
 
 
-def _warnings(history: History, kept: Salvaged, found: Replayed, not_tiled: list[str]) -> list[str]:
+def _warnings(history: History, kept: Salvaged, found: Restored, not_tiled: list[str]) -> list[str]:
     def some(lines: Iterable[str], what: str) -> list[str]:
         listed = list(lines)
         return [f"{what}: {line}" for line in listed[:10]] + (

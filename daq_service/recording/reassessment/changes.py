@@ -12,6 +12,7 @@ from typing import Any
 
 import orjson
 
+from analysis.statistics.named_limits import AVERAGE, CHART
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import (
     AssessmentRow,
@@ -189,9 +190,18 @@ def _rows(
             continue
         key = baselines[row.position] if kind is BaselineRow else set_index
         baselines[row.position] += 1
-        columns = {name: value for name, value in values(row).items() if name not in left_out}
+        columns = {name: value for name, value in comparable(values(row)).items() if name not in left_out}
         found[row.position, key] = set_index, columns
     return found
+
+
+def comparable(columns: Mapping[str, Any]) -> dict[str, Any]:
+    """Return columns without the state of the diagnosis, which an earlier version kept with the averages."""
+    averages = columns.get("averages")
+    if averages is None:
+        return dict(columns)
+    charts = {name: average for name, average in averages.items() if name in (AVERAGE, CHART)}
+    return {**columns, "averages": charts or None}
 
 
 def differing_columns(

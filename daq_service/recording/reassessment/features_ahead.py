@@ -8,9 +8,9 @@ from dataclasses import dataclass, field
 
 from analysis.waves.features import ShotFeatures
 from daq_service.archive import SetRecord, SetReference
-from daq_service.cli.offline.evidence.reassess import extracted_features
 from daq_service.errors import SolimonError
 from daq_service.processes.executors import worker_lost
+from daq_service.recording.reassessment.reassess import extracted_features
 from hardware_drivers.measurement import Shot, ShotKey, Stamp, Waveform
 
 SETS_AHEAD = 2

@@ -1,27 +1,36 @@
-"""Replay a stored test: reassess its sets in commit order, with all actions of people and devices.
+"""Fill an empty catalogue with the rows of a stored test.
 
-Events give the order: their ids are those of the commits. The events of one set are consecutive; a single
-event is a command, an alarm of a device or a message of the recorder.
+Rows come from the events and, those of single shots, from the tables of the set files; the assessors follow
+them. A set is assessed from its records only where one of both is missing or not as it was stored.
 """
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import groupby
+from functools import partial
 from typing import Any, TypeVar
 
 import orjson
 
 from analysis.waves.features import ShotFeatures
+from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import due_of, features_of, features_of_a_rehearsal
 from daq_service.alarms.delays import DELAY_EVENT
-from daq_service.alarms.states import RETIRING
-from daq_service.archive import ArchiveError, CorruptArchiveError, SetReader, SetRecord, SetReference
+from daq_service.archive import (
+    ArchiveError,
+    CorruptArchiveError,
+    FolderSetReader,
+    SetRecord,
+    SetReference,
+    SetTables,
+)
+from daq_service.assessment.assessor import StoredResult
 from daq_service.assessment.baseline_lifecycle import STEPS
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED
+from daq_service.assessment.restore_state import first_waveform, is_assessed
 from daq_service.assessment.results_in_file import find_differences, results_of
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
@@ -36,15 +45,17 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     Row,
     SetRow,
+    ShotRow,
     ThicknessRow,
+    measured,
 )
 from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_reason
+from daq_service.recording.reassessment.changes import comparable
+from daq_service.recording.reassessment.stored_runs import Progress, Run, repeat_action, row_of, runs_of
 from daq_service.recording.set_assessor import SetAssessor, without_records
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot, in_order, purpose_of
-
-log = logging.getLogger(__name__)
 
 R = TypeVar("R", bound=Row)
 FeaturesOf = Callable[[Shot], ShotFeatures]
@@ -81,8 +92,8 @@ class StoredHistory:
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class Replayed:
-    """What came of it.
+class Restored:
+    """Result of a restoration.
 
     Attributes
     ----------
@@ -100,74 +111,59 @@ class Replayed:
     differing: list[str] = field(default_factory=list)
 
 
-def replay(
+def restore_rows(
     settings: Settings,
     experiment: ExperimentRow,
-    archive: SetReader,
+    archive: FolderSetReader,
     catalogue: RecorderCatalogue,
     history: StoredHistory,
-    progress: Callable[[int, int], None],
+    progress: Progress,
     features_of: FeaturesOf = features_of,
-) -> Replayed:
-    """Fill a catalogue that has its experiment and nothing else.
-
-    Parameters
-    ----------
-    progress
-        Called with the sets that are done and their number.
-    """
-    return _Replay(settings, experiment, archive, catalogue, history, features_of).run(progress)
+) -> Restored:
+    """Fill a catalogue that has its experiment and nothing else."""
+    return _Restoration(settings, experiment, archive, catalogue, history, features_of).run(progress)
 
 
-class _Replay:
+class _Restoration:
     def __init__(
         self,
         settings: Settings,
         experiment: ExperimentRow,
-        archive: SetReader,
+        archive: FolderSetReader,
         catalogue: RecorderCatalogue,
         history: StoredHistory,
         features_of: FeaturesOf,
     ) -> None:
         self._settings, self._experiment = settings, experiment
         self._archive, self._catalogue, self._history = archive, catalogue, history
-        self._rehearsal = settings.rig.dry_run
-        self._features_of = features_of_a_rehearsal if self._rehearsal else features_of
-        self._set_assessor = self._new_ledger()
+        rehearsal = settings.rig.dry_run
+        self._features_of = features_of_a_rehearsal if rehearsal else features_of
+        self._set_assessor = SetAssessor(settings, archive, catalogue, None, Cost(), rehearsal=rehearsal)
         self._alarms: dict[int, AlarmRow] = {}
         self._late: list[EventRow] = []
-        self._result = Replayed()
+        self._result = Restored()
 
-    def _new_ledger(self) -> SetAssessor:
-        return SetAssessor(
-            self._settings, self._archive, self._catalogue, None, Cost(), rehearsal=self._rehearsal
-        )
-
-    def run(self, progress: Callable[[int, int], None]) -> Replayed:
+    def run(self, progress: Progress) -> Restored:
         files = dict(self._archive.sets())
         total = len(files)
-        with_events = {
-            event.set_index for event in self._history.events.values() if event.set_index is not None
-        }
-        without_events = sorted(files.keys() - with_events, key=in_order)
-        runs = list(_runs(self._history.events))
+        runs = list(runs_of(event for _, event in sorted(self._history.events.items())))
+        without_events = sorted(files.keys() - {index for index, _ in runs}, key=in_order)
         for number, (set_index, events) in enumerate(runs):
             if set_index is None:
                 self._pass(events)
                 continue
             # A set without any event is assessed before the next one.
             while without_events and in_order(without_events[0]) < in_order(set_index):
-                self._assess(without_events[0], files.pop(without_events.pop(0)), [], range(0))
+                self._assess(files.pop(without_events.pop(0)), [], range(0))
             free = _free_ids(events, runs[number - 1][1] if number else [], runs[number + 1 : number + 2])
             reference = files.pop(set_index, None)
             if reference is None:
-                self._restore_rows(events)
-            else:
-                self._assess(set_index, reference, events, free)
+                self._restore_rows(Transaction(), events)
+            elif free or not self._restore_from_tables(reference, events):
+                self._assess(reference, events, free)
             progress(total - len(files), total)
         for set_index in sorted(files, key=in_order):
-            reference = files[set_index]
-            self._assess(set_index, reference, [], range(0))
+            self._assess(files[set_index], [], range(0))
             progress(total, total)
         self._catalogue.restore(self._alarms.values())
         self._catalogue.commit_set(Transaction(events=self._late))
@@ -179,38 +175,76 @@ class _Replay:
         for event in events:
             self._take_alarm(event)
             if event.topic == "annotations":
-                self._catalogue.restore([_row_with_id(AnnotationRow, event, "annotation_id")])
+                self._catalogue.restore([row_of(AnnotationRow, event, "annotation_id")])
             if event.kind in STEPS:
-                self._catalogue.restore([_row_with_id(BaselineRow, event, "id")])
-                self._set_assessor.renewed(str(event.position))
-            retired = event.kind == "alarm_reset" and event.payload["kind"] in RETIRING
-            if retired and event.position in self._settings.positions:
-                self._set_assessor.reinstated(event.position)
+                self._catalogue.restore([row_of(BaselineRow, event)])
+            repeat_action(event, self._set_assessor.assessors, self._settings.positions)
 
     def _take_alarm(self, event: EventRow) -> None:
         self._set_assessor.take_stored(event)
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
-            row = _row_with_id(AlarmRow, event, "alarm_id")
+            row = row_of(AlarmRow, event, "alarm_id")
             self._alarms[row.id or 0] = row
             self._set_assessor.alarms[(row.position, row.kind)] = row
 
-    def _restore_rows(self, events: Sequence[EventRow]) -> None:
-        """Restore the stored rows of a set without waveforms."""
-        transaction = _with_stored_rows(Transaction(), events)
-        transaction.sets = self._completed_sets(transaction.sets)
-        self._commit(transaction, events)
-        for row in transaction.sets:
-            if row.purpose is None and row.state != "retired" and not row.n_taken and row.n_missed:
-                self._set_assessor.passed(row)
-        if any(row.n_taken for row in transaction.sets):
-            self._result.damaged.append(f"set {transaction.sets[0].set_index}: its file is gone")
-            self._set_assessor = self._renewed()
+    # Rows that are stored -------------------------------------------------------------------------
 
-    def _completed_sets(self, stored: Sequence[SetRow]) -> list[SetRow]:
-        """Complete the stored rows: a position that a set leaves out has no event."""
+    def _restore_from_tables(self, reference: SetReference, events: Sequence[EventRow]) -> bool:
+        """Restore a set from its events and the tables of its file; False if one of them lacks something."""
+        digest = self._history.digests.get(reference)
+        averaged = self._settings.features.of_set != "mean_of_shots"
+        tables = None if digest is None or averaged else self._archive.read_tables(reference, digest)
+        if tables is None:
+            return False
+        rows = rows_of_tables(tables, due_h=float(_rows(SetRow, events)[0].due_h))
+        if rows is None:
+            return False
+        shots, features = rows
+        self._restore_rows(Transaction(shots=shots, features=features), events)
+        self._result.sets += 1
+        return True
+
+    def _restore_rows(self, transaction: Transaction, events: Sequence[EventRow]) -> None:
+        """Restore the stored rows of a set; its assessors follow them."""
+        transaction = _with_stored_rows(transaction, events, all_rows=True)
+        # The events of a set with all its records are complete: a position without one was left out.
+        left_out = dict.fromkeys(self._settings.positions, "retired") if transaction.shots else {}
+        transaction.sets = self._completed_sets(transaction.sets, left_out | self._set_assessor.retired())
+        places = list(self._settings.positions)  # as a recorder orders them
+        transaction.features.sort(key=lambda row: (places.index(row.position), row.shot_index is None))
+        if any(row.n_taken for row in transaction.sets) and not transaction.shots:
+            self._result.damaged.append(f"set {transaction.sets[0].set_index}: its file is gone")
+        self._follow(transaction)
+        self._commit(transaction, events)
+
+    def _follow(self, transaction: Transaction) -> None:
+        """Update the states with the rows of a set; add the assessments of a baseline that it completes."""
+        results: dict[str, FeatureRow | ThicknessRow] = {row.position: row for row in transaction.thickness}
+        results |= {row.position: row for row in transaction.features if row.shot_index is None}
+        completed: list[AssessmentRow] = []
+        for row in filter(is_assessed, transaction.sets):
+            followed = self._set_assessor.assessors.follow(
+                StoredResult(
+                    its_set=row,
+                    result=results.get(row.position),
+                    flags=[
+                        shot.flags
+                        for shot in transaction.shots
+                        if shot.position == row.position and shot.outcome == ACCEPTED
+                    ],
+                    waveform=partial(first_waveform, self._archive, row),
+                )
+            )
+            own = [item for item in transaction.assessments if item.position == row.position]
+            known = {item.set_index for item in own}
+            completed += [*(item for item in followed if item.set_index not in known), *own]
+        transaction.assessments = completed
+
+    def _completed_sets(self, stored: Sequence[SetRow], left_out: Mapping[str, str]) -> list[SetRow]:
+        """Complete the stored rows: a position that a set leaves out, for a reason, has no event."""
         rows = {row.position: row for row in stored}
         of_the_plan = stored and stored[0].purpose is None
-        for position, cause in self._set_assessor.retired().items() if of_the_plan else ():
+        for position, cause in left_out.items() if of_the_plan else ():
             first = stored[0]
             due = DueSet(set_index=first.set_index, due_h=first.due_h, due_utc_ns=first.due_utc_ns)
             retired = without_records(self._settings, due, position, retired=True, cause=cause)
@@ -219,18 +253,9 @@ class _Replay:
         rows = {name: replace(row, file_sha256=digests.get(row.file or "")) for name, row in rows.items()}
         return [rows[position] for position in self._settings.positions if position in rows]
 
-    def _renewed(self) -> SetAssessor:
-        """Continue as after a restart, from the stored rows, since waveforms are missing."""
-        self._catalogue.restore(self._alarms.values())
-        try:
-            return self._new_ledger()
-        except ArchiveError as error:
-            self._result.damaged.append(f"judged on without it: {error}")
-            return self._set_assessor
+    # Sets that are assessed -----------------------------------------------------------------------
 
-    def _assess(
-        self, set_index: int, reference: SetReference, events: Sequence[EventRow], free: Sequence[int]
-    ) -> None:
+    def _assess(self, reference: SetReference, events: Sequence[EventRow], free: Sequence[int]) -> None:
         damage = ""
         try:
             record = self._archive.read_set(reference)
@@ -241,7 +266,7 @@ class _Replay:
                 record = self._archive.read_set(reference, skip_damaged=True)
             except ArchiveError:
                 if events:
-                    self._restore_rows(events)
+                    self._restore_rows(Transaction(), events)
                 return
         if why := foreign_reason(record, self._experiment):
             self._result.foreign.append(f"{reference}: {why}")
@@ -249,21 +274,23 @@ class _Replay:
         due = due_of(record)
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         sha256 = self._digest(reference)
+        states = self._set_assessor.assessors.states
         transaction = self._set_assessor.assessed(due, record, reference, features, sha256=sha256)
         if record.results and not damage:
             again = results_of(transaction.features, transaction.thickness, transaction.shots)
             found = find_differences(record.results, again)
-            self._result.differing += [f"set {set_index}, its file: {difference}" for difference in found]
+            self._result.differing += [f"set {due.set_index}, its file: {difference}" for difference in found]
         self._add_environment(transaction, record)
         computed = list(transaction.events)
         if events:
             if not damage:
                 self._result.differing += _differences(computed, events)
             _with_stored_rows(transaction, events, all_rows=bool(damage))
+            if damage:  # the state follows the stored rows, which are of all records
+                self._set_assessor.assessors.states = states
+                self._follow(transaction)
         self._commit(transaction, self._placed(computed, events, free), computed_alarms=not events)
         self._result.sets += 1
-        if damage:
-            self._set_assessor = self._renewed()
 
     def _digest(self, reference: SetReference) -> str | None:
         found, expected = self._archive.digest(reference), self._history.digests.get(reference)
@@ -287,6 +314,7 @@ class _Replay:
             self._alarms |= {row.id or 0: row for row in self._set_assessor.alarms.values()}
             return
         transaction.alarms, transaction.events, transaction.alarm_of_event = [], list(events), {}
+        transaction.states |= self._set_assessor.assessors.changed_states()
         self._catalogue.commit_set(transaction)
         self._set_assessor.confirmations.take_rows(transaction)
         for event in events:
@@ -312,16 +340,10 @@ class _Replay:
         return list(stored)
 
 
-def _runs(events: Mapping[int, EventRow]) -> Iterator[tuple[int | None, list[EventRow]]]:
-    in_order = (event for _, event in sorted(events.items()))
-    for set_index, run in groupby(in_order, key=lambda event: event.set_index):
-        yield set_index, list(run)
-
-
 def _free_ids(
     events: Sequence[EventRow],
     before: Sequence[EventRow],
-    following: Sequence[tuple[int | None, Sequence[EventRow]]],
+    following: Sequence[Run],
 ) -> list[int]:
     """Return the unused ids around and between the events of a set."""
     first = (before[-1].id or 0) if before else 0
@@ -329,14 +351,45 @@ def _free_ids(
     return sorted(set(range(first + 1, last)) - {event.id for event in events if event.id is not None})
 
 
-def _row_with_id(kind: type[R], event: EventRow, name: str) -> R:
-    """Return the complete row of an event, whose id has a name of its own."""
-    columns = {column: event.payload[column] for column in kind.__slots__ if column in event.payload}
-    return kind(**{**columns, "id": event.payload[name]})
-
-
 def _key(event: EventRow) -> tuple[str, str, str | None]:
     return event.topic, event.kind, event.position
+
+
+def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], list[FeatureRow]] | None:
+    """Return the rows of a set's shots from the tables of its file; None if a shot has no result there."""
+    results = {
+        int(row["shot_id"]): row for name in ("features", "thickness") for row in tables.results.get(name, ())
+    }
+    shots, features = [], []
+    for row in tables.shots:
+        result = results.get(row["shot_id"])
+        if result is None:
+            return None
+        key = {"position": row["position"], "set_index": tables.set_index, "shot_index": row["shot_index"]}
+        stamp = {name: row[name] for name in ("attempt", "utc_ns", "mono_ns", "boot_id", "crc32")}
+        shots.append(
+            ShotRow(
+                sequence=row["shot_id"],
+                **key,
+                **stamp,
+                valid=bool(result["valid"]),
+                flags=str(result["flags"]).split(),
+                outcome=SUPERSEDED if row["outcome"] == SUPERSEDED else ACCEPTED,
+            )
+        )
+        if "tof_pp_s" in result:
+            values = {name: result[name] for name in ("extractor_version", "quality", "n_valid")}
+            measured_values: dict[str, Any] = {
+                name: _finite_or_none(result.get(name)) for name in measured(FeatureRow)
+            }
+            features.append(
+                FeatureRow(**key, sequence=row["shot_id"], due_h=due_h, **values, **measured_values)
+            )
+    return shots, features
+
+
+def _finite_or_none(value: Any) -> float | None:
+    return value if value is not None and math.isfinite(value) else None
 
 
 def _with_stored_rows(
@@ -372,11 +425,7 @@ def _merged(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow
 
 
 def _rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
-    return [
-        kind(**{name: event.payload[name] for name in kind.__slots__ if name in event.payload})
-        for event in events
-        if _STORED_ROWS.get(event.kind) is kind
-    ]
+    return [row_of(kind, event) for event in events if _STORED_ROWS.get(event.kind) is kind]
 
 
 def _differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> list[str]:
@@ -384,7 +433,8 @@ def _differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> li
     return [
         f"set {event.set_index}, {event.position}: {event.kind}"
         for event in stored
-        if _key(event) in found and _stored_columns(event, found[_key(event)]) != _json(event.payload)
+        if _key(event) in found
+        and _stored_columns(event, found[_key(event)]) != _json(comparable(event.payload))
     ]
 
 

@@ -1,0 +1,165 @@
+"""Set up transducers on NI boards: wiring, input at rest, survey of strikes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+from daq_service.cli.doctor.spike import edge_in_words
+from daq_service.cli.set_up.bench import Bench, rms_v
+from daq_service.cli.set_up.dialogue import Dialogue, Question
+from daq_service.cli.set_up.init import head_of, laboratory
+from daq_service.cli.set_up.transducers import Flags, positions_table
+from daq_service.cli.set_up.values import REMEDIES, assess_strikes
+from daq_service.cli.set_up.wiring import coil_counters, home_terminal, inputs_of, wiring_of
+from daq_service.errors import UsageError
+from daq_service.settings.stored import KeyPath
+from hardware_drivers.daqmx.parameters import TransducerWiring
+from hardware_drivers.errors import InstrumentError
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
+
+
+@dataclass(frozen=True, slots=True)
+class Boards:
+    """NI boards as the dialogue sets them up."""
+
+    dialogue: Dialogue
+    bench: Bench
+
+    @property
+    def wired(self) -> Mapping[str, TransducerWiring]:
+        """Return the wiring by position."""
+        return self.bench.transducers
+
+    def introduce(self, flags: Flags, *, asks: bool) -> None:
+        """Take drop height and pulse from the flags, or ask for them."""
+        for name, text, bounds in (
+            ("drop_height_m", "Height from which the strikers fall, m", (0.0, 1.0)),
+            ("pulse_s", "Time a coil is on, s (it lifts the striker)", (1e-3, 0.5)),
+        ):
+            value = getattr(flags, name) or getattr(self.bench, name)
+            if asks and not getattr(flags, name):
+                question = Question(name=name, text=text, default=f"{value:g}")
+                value = self.dialogue.ask(question, _number_within(*bounds))
+            setattr(self.bench, name, value)
+
+    def wire(self, position: str, text: str) -> None:
+        """Wire a transducer as ``BOARD/INPUT/COUNTER`` and print its input at rest."""
+        wiring = wiring_of(self.bench.boards, text)
+        record = self.bench.wire(position, wiring)
+        self.dialogue.report(
+            f"{position}      {wiring.input} of {wiring.board_serial}, coil at {wiring.counter} "
+            f"({wiring.output_terminal}): at rest {record.volts().mean() * 1e3:.3g} mV, noise "
+            f"{rms_v(record) * 1e3:.3g} mV rms"
+        )
+
+    def ask_wiring(self, position: str) -> None:
+        """Ask for the wiring of a transducer until its input can be read."""
+        boards, transducers = self.bench.boards, self.bench.transducers.values()
+        taken = {(one.board_serial, one.input) for one in transducers}
+        taken |= {(one.coil_serial, one.counter) for one in transducers}
+        while True:
+            recording = [serial for serial, board in boards.items() if board.analog_trigger]
+            serial = self._choice(f"{position}.board", f"Board that records {position}", recording)
+            inputs = [name for name in inputs_of(boards[serial]) if (serial, name) not in taken]
+            channel = self._choice(f"{position}.input", f"Input of the PZT of {position}", inputs)
+            # The digitizer's own counters first: they can hold the trigger off.
+            counters = [
+                name if one == serial else f"{one}/{name}"
+                for one in sorted(boards, key=lambda one: one != serial)
+                for name in coil_counters(boards[one])
+                if (one, name) not in taken
+            ]
+            counter = self._choice(f"{position}.counter", f"Counter of the coil of {position}", counters)
+            coil_board = boards[counter.rpartition("/")[0] or serial]
+            question = Question(
+                name=f"{position}.terminal",
+                text="Terminal at which its pulse leaves the board",
+                default=home_terminal(coil_board, counter.rpartition("/")[2]),
+            )
+            terminal = self.dialogue.ask(question, str)
+            try:
+                self.wire(position, f"{serial}/{channel}/{counter}/{terminal}")
+            except (ValueError, InstrumentError) as error:
+                self.dialogue.report(f"  {error}")
+            else:
+                return
+
+    def check(self) -> None:
+        """Do nothing: each input was read when it was wired."""
+
+    def strike(self, position: str) -> None:
+        """Strike once; print the survey and its remedies."""
+        self.bench.strike(position)
+        proposal = self.bench.proposal()
+        assert proposal is not None, "it was struck"
+        survey = proposal.surveys[position]
+        wave = "no wave stands out"
+        if survey.wave_v is not None and survey.wave_after_s is not None:
+            wave = f"wave of {survey.wave_v:.3g} V {survey.wave_after_s * 1e3:.3g} ms after off"
+        self.dialogue.report(
+            f"{position}      on: {edge_in_words(survey.on)}; off: {edge_in_words(survey.off)}; {wave}"
+        )
+        if position in proposal.troubles:
+            self.dialogue.report(f"{position}      {REMEDIES[proposal.troubles[position]]}")
+        if position in proposal.again:
+            range_v = proposal.range_v[position]
+            self.bench.take_range(position, range_v)
+            self.dialogue.report(f"{position}      clipped; strike again, now in +-{range_v:g} V")
+
+    def strike_each(self, positions: Collection[str]) -> None:
+        """Strike each transducer once, and again while a waveform is clipped."""
+        for position in positions:
+            self.bench.strike(position)
+        while (proposal := self.bench.proposal()) is not None and proposal.again:
+            for position in proposal.again:
+                self.bench.take_range(position, proposal.range_v[position])
+                self.bench.strike(position)
+
+    def conclude(self, *, asks: bool) -> None:
+        """Present the values that the strikes propose."""
+        assess_strikes(self.dialogue, self.bench, asks=asks)
+
+    def contents(
+        self, others: Mapping[str, Any], off: set[KeyPath]
+    ) -> tuple[dict[str, Any], set[KeyPath], str]:
+        """Return values, switched-off tables and head of the file."""
+        values, _ = laboratory()
+        methods = dict.fromkeys(others.get("niscope", {}).get("probes", {}), PULSE_ECHO)
+        if clash := set(methods) & set(self.wired):
+            raise UsageError(f"position {', '.join(clash)} is a transducer and a probe; rename one of them")
+        values["positions"] = positions_table(methods | dict.fromkeys(self.wired, SOLITARY_WAVE))
+        watchdog = values["rig"]["daqmx"]["watchdog"]
+        values["rig"] |= {**others, "daqmx": {**self.bench.table(), "watchdog": watchdog}}
+        boards = {self.bench.boards[one.board_serial].product for one in self.wired.values()}
+        head = head_of(boards, self.bench.struck if self.bench.chosen else ())
+        return values, {*off, ("rig", "daqmx", "watchdog")}, head
+
+    def result(self) -> dict[str, Any]:
+        """Return the boards, their wiring and the proposal for ``--json``."""
+        proposal = self.bench.proposal()
+        return {
+            "boards": {serial: board.product for serial, board in self.bench.boards.items()},
+            "transducers": {name: asdict(wiring) for name, wiring in self.wired.items()},
+            "struck": list(self.bench.struck),
+            "proposal": None
+            if proposal is None
+            else asdict(replace(proposal, surveys={})) | {"taken": bool(self.bench.chosen)},
+        }
+
+    def _choice(self, name: str, text: str, choices: Sequence[str]) -> str:
+        """Ask for one of the choices."""
+        if not choices:
+            raise UsageError(f"{text}: nothing is left to choose; add a board, or end with fewer positions")
+        return self.dialogue.ask(Question(name=name, text=text, default=choices[0], choices=choices), str)
+
+
+def _number_within(low: float, high: float) -> Callable[[str], float]:
+    def parse(text: str) -> float:
+        value = float(text)
+        if not low < value <= high:
+            raise ValueError(f"{value:g} is not within {low:g} .. {high:g}")
+        return value
+
+    return parse

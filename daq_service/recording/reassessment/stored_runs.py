@@ -1,0 +1,43 @@
+"""Events of a stored test in the order of their commits: the loop of rebuild, replay and explain.
+
+The ids of events are those of their commits. The events of one set are consecutive; an event without a set is
+a command, an alarm of a device or a message of the recorder.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from itertools import groupby
+from typing import TypeVar
+
+from daq_service.alarms.states import RETIRING
+from daq_service.assessment.baseline_lifecycle import STEPS
+from daq_service.assessment.position_assessors import PositionAssessors
+from daq_service.catalogue.rows import EventRow, Row
+
+R = TypeVar("R", bound=Row)
+Run = tuple[int | None, Sequence[EventRow]]
+Progress = Callable[[int, int], None]
+"""Called with the sets that are done and their number."""
+
+
+def runs_of(events: Iterable[EventRow]) -> Iterator[Run]:
+    """Yield the events in their order, those of each set together with its index."""
+    for set_index, run in groupby(events, key=lambda event: event.set_index):
+        yield set_index, list(run)
+
+
+def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Container[str | None]) -> None:
+    """Repeat the effect of a person's action on the state: a renewed baseline, an enabled transducer."""
+    if event.kind in STEPS:
+        assessors.renew(str(event.position))
+    elif event.kind == "alarm_reset" and event.payload["kind"] in RETIRING and event.position in positions:
+        assessors.reinstate(str(event.position))
+
+
+def row_of(kind: type[R], event: EventRow, id_name: str = "id") -> R:
+    """Return the complete row of an event; its id may have a name of its own."""
+    columns = {name: event.payload[name] for name in kind.__slots__ if name in event.payload}
+    if id_name in event.payload:
+        columns["id"] = event.payload[id_name]
+    return kind(**columns)
