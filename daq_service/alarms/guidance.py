@@ -105,7 +105,7 @@ GUIDANCE: Mapping[str, Guidance] = {
         checks=(
             "who or what disabled it (the message)",
             "coil's temperature",
-            "as for `no_data`; then `solimon enable`",
+            "as for `few_valid_shots`; then `solimon enable`",
         ),
         short="The message names who or what disabled it. Fix that, then run `solimon enable`.",
         contact="who looks after the rig",

@@ -17,7 +17,7 @@ from typing import Any
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, FolderArchive, Results, SetRecord, SetReference
 from daq_service.archive.waterfall.cells import anchors_of
-from daq_service.assessment.results_in_file import results_in
+from daq_service.assessment.results_in_file import newest_results
 from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
@@ -180,7 +180,7 @@ def _with_background_tasks(
             return None
         return partial(add_record_to_tiles, folder, experiment, anchors_of(results))
 
-    results, files = partial(results_in, catalogue), partial(catalogue.files_but_of, ())
+    results, files = partial(newest_results, catalogue), partial(catalogue.files_but_of, ())
     finalizer = SetFinalizer(
         folder, archive, start=bare.host.worker, results=results, filed=note_file, also=tiles
     )

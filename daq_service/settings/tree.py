@@ -185,7 +185,7 @@ class QualitySettings(Section):
     restrikes_per_set: int = Field(default=RestrikeRule().restrikes_per_set, ge=0, le=1000)
     """Repetitions of each transducer in a set; 0: none."""
     no_data_sets: int = Field(default=2, ge=1, le=1000)
-    """Sets running with too few valid shots (`baseline.minimum_valid_shots`) that raise `no_data`."""
+    """Sets running with too few valid shots (`baseline.minimum_valid_shots`) that raise `few_valid_shots`."""
     retire_after_sets: int = Field(default=10, ge=0, le=100_000)
     """Consecutive such sets after which the transducer is disabled until `solimon enable`; 0: never."""
 

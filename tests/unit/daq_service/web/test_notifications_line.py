@@ -4,14 +4,13 @@ import logging
 from itertools import pairwise
 
 import pytest
-from support.reported_alarms import BEGAN_NS, DEAD, DUTY, TAKEN, Bench, notifying
+from support.reported_alarms import DEAD, DUTY, TAKEN, Bench, notifying
 
 from daq_service.errors import StorageUnavailableError
 from daq_service.processes.notifications import receiver as receiver_module
 from daq_service.processes.notifications.messages import MOST_LISTED
 from daq_service.processes.notifications.receiver import MOST_REFUSALS, is_dead
 from daq_service.processes.notifications.webhook import Outcome
-from hardware_drivers.nanoseconds import NS_PER_S
 
 AT_ONCE = {"group_s": 0.0}
 
@@ -149,20 +148,6 @@ def test_an_old_folder_s_alarms_are_no_news_to_new_notifications(make_bench, tmp
     )
     bench.alarms.change("no_reflection")
     assert [changes(message) for message in bench.run()] == [[("no_reflection", "raised")]]
-
-
-def test_a_restart_neither_loses_nor_repeats(make_bench):
-    bench = make_bench(rules=[{"kinds": ["no_reflection"], "delay_s": 100.0, "group_s": 0.0}, AT_ONCE])
-    waits, goes = bench.alarms.change("no_reflection"), bench.alarms.change("few_valid_shots")
-    bench.run(40.0)
-    bench.restarted()
-    while_away = bench.alarms.change("thickness_low")
-    bench.run(50.0)
-    bench.restarted()
-    bench.run(200.0)
-    event_ids = [item["event_id"] for message in bench.sent for item in message.facts["alarms"]]
-    assert event_ids == [goes, while_away, waits]
-    assert (bench.mono_s, bench.log_lines("sent")[-1].utc_ns - BEGAN_NS) == (290.0, 100 * NS_PER_S)
 
 
 def test_an_alarm_that_returned_to_normal_during_a_service_stop_is_not_sent(make_bench):

@@ -1,7 +1,6 @@
 """Every read route of the service on a folder filled through the real catalogue and archive."""
 
 import json
-import math
 import re
 import time
 from datetime import UTC, datetime, timedelta
@@ -422,11 +421,6 @@ def test_rows_with_hours_also_have_utc_times():
         "raised_utc": None,
         "wall_utc": "1970-01-01T00:00:00Z",
     }
-
-
-def test_everything_the_twin_measures_is_a_number_or_null(api):
-    for column in get(api, "/api/v1/trends/B")["columns"].values():
-        assert all(not isinstance(value, float) or math.isfinite(value) for value in column)
 
 
 ASKED = {
