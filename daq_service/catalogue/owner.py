@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Table, select
+from sqlalchemy import Connection, Engine, Table, inspect, select
 
+from daq_service.catalogue.earlier_names import current_row
 from daq_service.catalogue.errors import OtherExperimentError
 from daq_service.catalogue.rows import ExperimentRow
 from daq_service.catalogue.tables import events, experiment, features, thickness
@@ -25,12 +26,16 @@ def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
         Every key or version that differs with both values, and the way out.
     """
     with engine.begin() as connection:
-        columns = (experiment.c[name] for name in ExperimentRow.__slots__)
+        # Columns that came later are missing in an earlier catalogue.
+        found_names = {column["name"] for column in inspect(connection).get_columns(experiment.name)}
+        columns = [experiment.c[name] for name in ExperimentRow.__slots__ if name in found_names]
         found = connection.execute(select(*columns)).one_or_none()
         if found is None:
             return  # no test yet
         lines = _other_versions(connection, settings)
-    refuse_other_experiment(ExperimentRow(**found._mapping), path.parent, settings, lines)
+    refuse_other_experiment(
+        ExperimentRow(**current_row("experiment", found._mapping)), path.parent, settings, lines
+    )
 
 
 def experiment_identity(row: ExperimentRow) -> str:

@@ -1,6 +1,7 @@
 """Folders that earlier versions began: gone on with, or refused by name; never rewritten."""
 
 import hashlib
+import json
 import logging
 import sqlite3
 import tarfile
@@ -14,6 +15,7 @@ from support.small_experiment import rows_of, run
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import check_owner
+from daq_service.catalogue.earlier_names import current_row, derived_uuid
 from daq_service.errors import StorageError
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
@@ -31,13 +33,16 @@ CAME_LATER = {
     "state",
     "approved_utc_ns",
     "limits",
-    "readiness",
+    "baseline_quality",
     "statistics",
     "averages",
-    "chart",
-    "chart_alarm",
+    "mewma_statistic",
+    "mewma_alarm",
+    "interval_low_m",
+    "interval_high_m",
+    "uuid",
 }
-CAME_LATER |= {"cause", "cause_probability", "cause_told"}
+CAME_LATER |= {"diagnosis", "diagnosis_probability", "diagnosis_details"}
 """Columns of a baseline that has a chart, and of its assessments."""
 
 Unpack = Callable[[str], Path]
@@ -66,12 +71,20 @@ def settings_of(commit: str, **tables: Any) -> Settings:
     return load_settings(CONFIGURATION_OF[commit], overrides={**TO_THE_END, **tables})
 
 
+def parsed(name: str, value: Any) -> Any:
+    """Return a stored value; a payload as an object."""
+    return json.loads(value) if name == "payload" else value
+
+
 def stored_rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
-    """Return rows as stored in the file of any revision."""
+    """Return rows as stored in the file of any revision, with current names."""
     database = sqlite3.connect(folder / "catalogue.sqlite")
     database.row_factory = sqlite3.Row
     rows = {
-        table: [dict(row) for row in database.execute(f"SELECT * FROM {table} ORDER BY rowid")]
+        table: [
+            current_row(table, {name: parsed(name, value) for name, value in dict(row).items()})
+            for row in database.execute(f"SELECT * FROM {table} ORDER BY rowid")
+        ]
         for table in FINAL_TABLES
     }
     database.close()
@@ -110,11 +123,13 @@ def test_a_folder_of_an_earlier_version_goes_on_under_its_own_hash(unpack: Unpac
     folder = unpack(commit)
     rows = goes_on(folder, commit)
     (experiment,) = rows["experiment"]
+    assert experiment["uuid"] == derived_uuid(experiment["configuration_hash"], experiment["epoch_utc_ns"])
     assert len({row["set_index"] for row in rows["sets"]}) == SETS
     # The keys that came later would give another hash; every file bears the one that began the folder.
     lacks_keys = commit != "9c4a9b9"
     assert (experiment["configuration_hash"] != settings_of(commit).configuration_hash()) == lacks_keys
     first, last = read_set(set_files(folder)[0]).provenance, read_set(set_files(folder)[SETS - 1]).provenance
+    assert last["experiment"]["uuid"] == experiment["uuid"]
     assert first["configuration_hash"] == last["configuration_hash"] == experiment["configuration_hash"]
     assert last["configuration"] == settings_of(commit).model_dump(mode="json")
     assert last["versions"]["twin"] == "1"
