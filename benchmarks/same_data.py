@@ -20,9 +20,9 @@ from typing import Any
 import h5py
 import numpy as np
 
-from daq_service.catalogue.earlier_names import COLUMNS, current_row
+from daq_service.catalogue.earlier_names import COLUMNS, TOPICS, current_row
 
-RENAMED_TABLES = {"assessments": "assessments"}
+RENAMED_TABLES = TOPICS
 RENAMED_COLUMNS = COLUMNS
 """Current names of the columns of each table by their earlier ones; nested keys and values follow."""
 ADDED = {"uuid", "site", "interval_low_m", "interval_high_m", "experiment_identifier"}
@@ -38,8 +38,8 @@ TIMELESS = ADDED | {
 }
 NESTED = {
     "events": ("payload",),
-    "alarms": ("evidence", "evidence"),
-    "baselines": ("baseline_quality", "baseline_quality"),
+    "alarms": ("proof", "evidence"),
+    "baselines": ("readiness", "baseline_quality"),
 }
 """Columns with nested keys, by either name."""
 OF_THE_RUN = {"cost", "versions", "created_utc_ns"}

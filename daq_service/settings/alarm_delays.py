@@ -10,18 +10,18 @@ from pydantic import BaseModel, ConfigDict, Field
 DAY_S = 86_400.0
 EARLIER_ALARM_KINDS: Mapping[str, str] = MappingProxyType(
     {
-        "not_assessed": "not_assessed",
+        "not_judged": "not_assessed",
         "hole": "no_reflection",
-        "thickness_low": "thickness_low",
-        "few_valid_shots": "few_valid_shots",
+        "thickness": "thickness_low",
+        "no_data": "few_valid_shots",
         "retired": "transducer_disabled",
-        "instruments_unavailable": "instruments_unavailable",
-        "data_corrupt": "data_corrupt",
-        "write_failed": "write_failed",
-        "clock_unverified": "clock_unverified",
-        "supply_not_responding": "supply_not_responding",
-        "supply_current_limit": "supply_current_limit",
-        "supply_watchdog_trip": "supply_watchdog_trip",
+        "rig_unavailable": "instruments_unavailable",
+        "data_damaged": "data_corrupt",
+        "storage_unavailable": "write_failed",
+        "clock_doubted": "clock_unverified",
+        "supply_lost": "supply_not_responding",
+        "supply_limit": "supply_current_limit",
+        "supply_unwatched": "supply_watchdog_trip",
     }
 )
 """Current kinds of alarms by their names in earlier versions, for stored rows and configurations."""

@@ -131,7 +131,7 @@ class RuleSettings(_Table):
         """Accept the key and the kinds of alarm of earlier versions."""
         if not isinstance(values, dict):
             return values
-        current = {"priority" if name == "priority" else name: value for name, value in values.items()}
+        current = {"priority" if name == "severity" else name: value for name, value in values.items()}
         if isinstance(kinds := current.get("kinds"), list | tuple):
             current["kinds"] = [EARLIER_ALARM_KINDS.get(kind, kind) for kind in kinds]
         return current

@@ -119,7 +119,7 @@ class DeliveryLog:
 
         def is_sent(row: Mapping[str, Any]) -> bool:
             is_heartbeat = (row.get("receiver"), row.get("what")) == (receiver, "heartbeat")
-            return is_heartbeat and not str(row.get("result", row.get("result"))).startswith("withheld")
+            return is_heartbeat and not str(row.get("result", row.get("told"))).startswith("withheld")
 
         lines, _ = newest_lines(self.path, limit=1, wanted=is_sent)
         return int(lines[0][1]["utc_ns"]) if lines else None
@@ -147,6 +147,6 @@ class DeliveryLog:
 def _delivery_of(row: object) -> Delivery:
     assert isinstance(row, dict)
     progress = row["place"]
-    if "result" in row:  # line of an earlier version
-        row["result"] = row.pop("result")
+    if "told" in row:  # line of an earlier version
+        row["result"] = row.pop("told")
     return Delivery(**{**row, "place": None if progress is None else Progress(**progress)})

@@ -33,6 +33,9 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.tables import metadata
 from daq_service.commands.deadline import command_state
+from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS
+from daq_service.settings.notifications import RuleSettings
+from daq_service.settings.tree import Settings
 
 
 def schema_of(path):
@@ -197,6 +200,15 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
     expected = schema_of(described)
     assert {name: columns_and_constraints(sql) for name, sql in migrated.items()} == {
         name: columns_and_constraints(sql) for name, sql in expected.items()
+    }
+
+
+def test_every_earlier_kind_of_alarm_and_its_settings_have_current_names():
+    assert not EARLIER_ALARM_KINDS.keys() & set(EARLIER_ALARM_KINDS.values())
+    rule = RuleSettings.model_validate({"severity": "high", "kinds": ["hole"]})
+    assert (rule.priority, rule.kinds) == ("high", ("no_reflection",))
+    assert Settings(alarms={"kinds": {"thickness": {"on_delay_s": 60.0}}}).alarms.kinds.keys() == {
+        "thickness_low"
     }
 
 
