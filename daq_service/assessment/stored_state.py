@@ -42,7 +42,7 @@ def state_rows(
                 baseline_id=baseline_id,
                 configuration_hash=configuration_hash,
                 format=STATE_FORMAT,
-                state=json.dumps(_encoded(values), separators=(",", ":")),
+                state=json.dumps(values, default=_encoded, separators=(",", ":")),
             )
         )
     return rows
@@ -63,12 +63,8 @@ def _encoded(value: Any) -> Any:
         content = base64.b64encode(value.tobytes()).decode()
         return {"dtype": value.dtype.str, "shape": value.shape, "base64": content}
     if is_dataclass(value):
-        return {item.name: _encoded(getattr(value, item.name)) for item in fields(value) if item.init}
-    if isinstance(value, Mapping):
-        return {name: _encoded(item) for name, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_encoded(item) for item in value]
-    return value
+        return {item.name: getattr(value, item.name) for item in fields(value) if item.init}
+    raise TypeError(f"a state has no {type(value)}")
 
 
 def _decoded(kind: Any, value: Any) -> Any:

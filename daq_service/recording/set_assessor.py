@@ -6,7 +6,6 @@ import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from typing import Any
 
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
