@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import os
 import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
-
-import click
 
 from daq_service.catalogue import check_owner
 from daq_service.cli.run import STOPPED, child_plans, report_full_disk
@@ -19,7 +16,7 @@ from daq_service.cli.terminal import ProgressReport, open_page
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import log_to, stop_on_signals
 from daq_service.processes.data_folder import new_folder, prepare_data_folder, write_configuration
-from daq_service.processes.printing import print_line
+from daq_service.processes.printing import print_line, print_result
 from daq_service.processes.supervisor import Message, Supervisor
 from daq_service.rig.doubles import DemoRig, running_rig
 
@@ -114,10 +111,9 @@ def _run_on(
         return EXIT_INTERRUPTED
     summary = summarise_run(settings, folder)
     elapsed_s = time.time() - started_s
-    if as_json:
-        click.echo(json.dumps({**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}))
-    else:
-        click.echo("\n".join([*summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]))
+    result = {**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}
+    lines = [*summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
+    print_result(result, lines, as_json=as_json)
     return EXIT_OK
 
 

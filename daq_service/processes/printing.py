@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import sys
 import threading
+from collections.abc import Iterable
 from contextlib import suppress
+
+import click
 
 log = logging.getLogger(__name__)
 
@@ -29,6 +33,12 @@ def print_line(text: str, *, err: bool = True) -> None:
     thread = threading.Thread(target=write, name=PRINTING, daemon=True)
     thread.start()
     thread.join(HELD_AFTER_S)
+
+
+def print_result(result: object, lines: Iterable[str], *, as_json: bool) -> None:
+    """Print what a command found: one JSON object, or lines for a person."""
+    for line in [json.dumps(result)] if as_json else lines:
+        click.echo(line)
 
 
 def discard_unwritten() -> None:

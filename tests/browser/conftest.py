@@ -2,6 +2,7 @@
 
 import pytest
 from support.browser_pages import chromium, find_browser, watched_pages
+from support.served_web import served
 
 
 @pytest.fixture(scope="module")
@@ -19,3 +20,9 @@ def open_page(browser):
     """Open pages; fail at the end if one of them logged an error."""
     with watched_pages(browser) as open_:
         yield open_
+
+
+@pytest.fixture(scope="module")
+def service(filled):
+    with served(filled.settings, filled.folder) as running:
+        yield running

@@ -7,11 +7,8 @@ import pandas as pd
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import DESK, PHONE, dashboard, expect, show
-from support.filled_folder import FilledFolder
-from support.served_web import served
+from support.filled_folder import filled_folder
 from support.waiting import until
-
-from daq_service.settings.tree import Settings
 
 pytestmark = pytest.mark.browser
 
@@ -22,17 +19,10 @@ ZOOM = "from_h=4&to_h=12"
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("out"), Settings(), shots_per_set=SHOTS)
-    for index in range(N_SETS):
-        folder.add_set(index, stored=index == LAST)
-    yield folder
-    folder.close()
-
-
-@pytest.fixture(scope="module")
-def service(filled):
-    with served(filled.settings, filled.folder) as running:
-        yield running
+    with filled_folder(tmp_path_factory.mktemp("out"), shots_per_set=SHOTS) as folder:
+        for index in range(N_SETS):
+            folder.add_set(index, stored=index == LAST)
+        yield folder
 
 
 @pytest.fixture(scope="module")

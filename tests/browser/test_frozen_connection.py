@@ -7,11 +7,9 @@ from contextlib import contextmanager, suppress
 
 import pytest
 from support.browser_pages import DESK, dashboard, expect
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served
 from support.waiting import until
-
-from daq_service.settings.tree import Settings
 
 pytestmark = pytest.mark.browser
 
@@ -82,11 +80,10 @@ def tunnel_to(service):
 
 @pytest.fixture
 def filled(tmp_path):
-    folder = FilledFolder(tmp_path, Settings(), shots_per_set=1)
-    for index in range(3):
-        folder.add_set(index, stored=False, shown=index == 2)
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path, shots_per_set=1) as folder:
+        for index in range(3):
+            folder.add_set(index, stored=False, shown=index == 2)
+        yield folder
 
 
 def see_it_lost_and_found(filled, page, tunnel, after_freezing=lambda: None):

@@ -2,8 +2,7 @@
 
 import pytest
 from support.browser_pages import DESK, dashboard, expect
-from support.filled_folder import FilledFolder
-from support.served_web import served
+from support.filled_folder import filled_folder
 from support.waiting import until
 
 from daq_service.settings.tree import Settings
@@ -22,18 +21,11 @@ LARGEST_GROWTH_BYTES = 10e6
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
     """Return one test that all tests of the module extend."""
-    folder = FilledFolder(tmp_path_factory.mktemp("watched"), SETTINGS, shots_per_set=3)
-    for index in range(N_SETS):
-        folder.add_set(index, stored=index == N_SETS - 1)
-    folder.add_alarm("C", N_SETS - 2)
-    yield folder
-    folder.close()
-
-
-@pytest.fixture(scope="module")
-def service(filled):
-    with served(filled.settings, filled.folder) as running:
-        yield running
+    with filled_folder(tmp_path_factory.mktemp("watched"), SETTINGS, shots_per_set=3) as folder:
+        for index in range(N_SETS):
+            folder.add_set(index, stored=index == N_SETS - 1)
+        folder.add_alarm("C", N_SETS - 2)
+        yield folder
 
 
 @pytest.fixture(scope="module")

@@ -1,16 +1,14 @@
 """What changes a test, given on the page: each order names its consequence, and is never a single click."""
 
 from dataclasses import replace
-from datetime import datetime, timedelta
 
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import expect, watched_pages
-from support.filled_folder import FilledFolder, frozen_baseline
+from support.filled_folder import filled_folder, frozen_baseline
 from support.served_web import served
 
 from daq_service.catalogue import SetCommit
-from daq_service.commands.audit import Audit
 from daq_service.settings.tree import Settings
 from daq_service.web.auth.tokens import create_token
 
@@ -18,7 +16,7 @@ pytestmark = pytest.mark.browser
 
 SUPPLY = {"line": {"port": "/dev/none"}, "identity": "MAKER,MODEL", "voltage_v": 9.0, "voltage_cap_v": 11.0}
 
-READINESS = {
+BASELINE_QUALITY = {
     "n": 47,
     "n_left_out": 1,
     "n_eff": 33.6,
@@ -27,29 +25,27 @@ READINESS = {
     "named": [{"kind": "group", "set_indices": [3, 4, 5]}, {"kind": "trend", "set_indices": [0, 47]}],
     "advice": "200 sets and more are advised, 47 are there",
     "false_alarms_per_sensor_year": 0.2,
-    "rate_guaranteed": False,
-    "why_not_guaranteed": "47 sets cannot show slow memory",
+    "rate_verified": False,
+    "rate_not_verified_reason": "47 sets cannot show slow memory",
 }
 
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(rig={"supply": SUPPLY}))
-    for index in range(3):
-        folder.add_set(index, stored=False, shown=index == 2)
-    folder.add_alarm("B", 2)
-    retired = {"retired_by": "ben", "retired_because": "coupled anew", "retired_utc_ns": folder.epoch_ns}
-    second = {"name": "B-baseline-2", "state": "proposed", "approval": "by_a_person", "readiness": READINESS}
-    rows = [frozen_baseline("B", state="retired", **retired), frozen_baseline("B", **second)]
-    folder.catalogue.commit_set(SetCommit(baselines=rows))
-    yield folder
-    folder.close()
-
-
-@pytest.fixture(scope="module")
-def service(filled):
-    with served(filled.settings, filled.folder) as running:
-        yield running
+    with filled_folder(tmp_path_factory.mktemp("data"), Settings(rig={"supply": SUPPLY})) as folder:
+        for index in range(3):
+            folder.add_set(index, stored=False, shown=index == 2)
+        folder.add_alarm("B", 2)
+        retired = {"retired_by": "ben", "retired_reason": "coupled anew", "retired_utc_ns": folder.epoch_ns}
+        second = {
+            "name": "B-baseline-2",
+            "state": "proposed",
+            "approval": "by_a_person",
+            "baseline_quality": BASELINE_QUALITY,
+        }
+        rows = [frozen_baseline("B", state="retired", **retired), frozen_baseline("B", **second)]
+        folder.catalogue.commit_set(SetCommit(baselines=rows))
+        yield folder
 
 
 @pytest.fixture(scope="module")
@@ -170,13 +166,15 @@ def test_a_baseline_shows_its_quality_and_is_approved_or_renewed(filled, shared)
 def test_a_baseline_without_limits_is_shown_and_cannot_be_approved(filled, service, open_page):
     why = "a baseline of 14 sets; it needs 15"
     nothing = {
-        "limit_f": None,
-        "limit_paper": None,
+        "limit_f_predictive": None,
+        "limit_mean_3sd": None,
         "distance_squared": None,
         "outlier": None,
         "limits": None,
     }
-    refused = frozen_baseline("D", id=4, state="proposed", limit_f=None, limits=None, limit_reason=why)
+    refused = frozen_baseline(
+        "D", id=4, state="proposed", limit_f_predictive=None, limits=None, limit_reason=why
+    )
     assessment = replace(filled.assessment("D", 2, 1.5), **nothing, in_baseline=False, reason=why)
     filled.catalogue.commit_set(SetCommit(baselines=[refused]))
     filled.catalogue.commit_set(SetCommit(assessments=[replace(assessment, set_index=3)]))
@@ -239,47 +237,6 @@ def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
     dialog.get_by_label("Name").fill("Cleo")
     page.keyboard.press("Enter")
     expect(page.get_by_role("button", name="Cleo (claimed)")).to_be_visible()
-
-
-def test_the_person_who_paused_the_test_is_found_with_three_clicks(service, open_page, tmp_path):
-    audit, now = Audit(service.app.state.context.data_folder), datetime.now().astimezone()
-    yesterday = now.replace(hour=12) - timedelta(days=1)
-    deeds = [
-        ("old", "pause", yesterday - timedelta(days=1)),
-        ("cleo", "pause", yesterday),
-        ("ben", "log_in", yesterday),
-    ]
-    for who, what, moment in deeds:
-        entry = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
-        audit.add(**entry, arguments={"note": "changing a sensor"}, utc_ns=int(moment.timestamp()) * 10**9)
-    for _ in range(60):
-        audit.add(
-            who="ann", what="resume", role="admin", source="terminal", result="refused", why="not paused"
-        )
-    page = open_page(service.url)
-    rows = page.locator("#audit tbody tr")
-    clicks = [
-        page.get_by_text("Audit", exact=True),
-        page.get_by_role("button", name="Pauses"),
-        page.get_by_role("button", name="Yesterday"),
-    ]
-    for one in clicks:
-        one.click()
-    expect(rows).to_have_count(1)
-    expect(rows).to_contain_text("cleo")
-    expect(rows).to_contain_text("note: changing a sensor")
-    found = Axe().run(page, context="#audit")
-    assert found.violations_count == 0, found.generate_report()
-    page.get_by_role("button", name="Any time").click()
-    expect(rows).to_have_count(50)
-    page.get_by_role("button", name="Older").click()
-    expect(rows.nth(50)).to_be_visible()
-    page.get_by_label("Who").fill("old")
-    page.keyboard.press("Enter")
-    expect(rows).to_have_count(1)
-    page.get_by_label("Result").select_option("refused")
-    expect(rows).to_have_count(0)
-    expect(page.locator("#audit [role=status]")).to_contain_text("Nothing found")
 
 
 @pytest.mark.parametrize(

@@ -10,13 +10,12 @@ from urllib.parse import urlencode
 import numpy as np
 import pytest
 from support.browser_pages import at_hour, dashboard, expect, query, watched_pages
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served
 from support.waiting import until
 
 from daq_service.clock import parse_utc
 from daq_service.commands.audit import Audit
-from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_H
 
 pytestmark = pytest.mark.browser
@@ -43,25 +42,24 @@ GO_TO = """view => {
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("tasks"), Settings(), shots_per_set=SHOTS)
-    make_assessment = folder.assessment
+    with filled_folder(tmp_path_factory.mktemp("tasks"), shots_per_set=SHOTS) as folder:
+        make_assessment = folder.assessment
 
-    def with_outliers_at_c(position, index, hour):
-        row = make_assessment(position, index, hour)
-        outlier = position == "C" and index in OUTLIERS
-        expected_outlier = outlier if index >= N_BASELINE else None
-        return replace(row, distance_squared=400.0 if outlier else 5.0, outlier=expected_outlier)
+        def with_outliers_at_c(position, index, hour):
+            row = make_assessment(position, index, hour)
+            outlier = position == "C" and index in OUTLIERS
+            expected_outlier = outlier if index >= N_BASELINE else None
+            return replace(row, distance_squared=400.0 if outlier else 5.0, outlier=expected_outlier)
 
-    folder.assessment = with_outliers_at_c
-    for index in range(N_SETS):
-        # Next to C's set the page draws one of the baseline: the first, where all have one distance.
-        folder.add_set(index, stored=index == 0 or index > 40)
-    for number, position in ((OF_B, "B"), (OF_C, "C")):
-        assert folder.add_alarm(position, LAST - 1) == number
-    folder.say("schedule_done", folder.due[LAST].due_utc_ns)
-    folder.recorder_ends()
-    yield folder
-    folder.close()
+        folder.assessment = with_outliers_at_c
+        for index in range(N_SETS):
+            # Next to C's set the page draws one of the baseline: the first, where all have one distance.
+            folder.add_set(index, stored=index == 0 or index > 40)
+        for number, position in ((OF_B, "B"), (OF_C, "C")):
+            assert folder.add_alarm(position, LAST - 1) == number
+        folder.say("schedule_done", folder.due[LAST].due_utc_ns)
+        folder.recorder_ends()
+        yield folder
 
 
 @pytest.fixture(scope="module")
@@ -124,7 +122,7 @@ def do(page, step):
 
 
 def is_the_shot_of_the_first_outlier(page, api, filled):
-    assessments = api("/verdicts?position=C&limit=1000").json()["items"]
+    assessments = api("/assessments?position=C&limit=1000").json()["items"]
     first = min(row["set_index"] for row in assessments if row["outlier"])
     expect(page.locator("#set")).to_have_attribute("data-set", f"C {first}")
     assert query(page) == {"position": "C", "set": str(first), "shot": "0"}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import PHONE, dashboard, expect, query, show, watched_pages
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served
 from support.waiting import until
 
@@ -34,31 +34,24 @@ LIGHT = {
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("fall"), SETTINGS, shots_per_set=SHOTS)
-    commit = folder.catalogue.commit_set
+    with filled_folder(tmp_path_factory.mktemp("fall"), SETTINGS, shots_per_set=SHOTS) as folder:
+        commit = folder.catalogue.commit_set
 
-    def with_a_bad_set(rows):
-        rows.features = [
-            replace(row, quality="bad") if (row.position, row.set_index) == ("B", BAD) else row
-            for row in rows.features
-        ]
-        return commit(rows)
+        def with_a_bad_set(rows):
+            rows.features = [
+                replace(row, quality="bad") if (row.position, row.set_index) == ("B", BAD) else row
+                for row in rows.features
+            ]
+            return commit(rows)
 
-    folder.catalogue.commit_set = with_a_bad_set
-    for index in range(N_SETS):
-        folder.add_set(index, stored=index not in MISSED)
-    folder.add_alarm("B", 20)
-    assert [row.quality for row in folder.catalogue.rows(FeatureRow, position="B", set_index=BAD)] == [
-        "bad"
-    ] * 3
-    yield folder
-    folder.close()
-
-
-@pytest.fixture(scope="module")
-def service(filled):
-    with served(filled.settings, filled.folder) as running:
-        yield running
+        folder.catalogue.commit_set = with_a_bad_set
+        for index in range(N_SETS):
+            folder.add_set(index, stored=index not in MISSED)
+        folder.add_alarm("B", 20)
+        assert [row.quality for row in folder.catalogue.rows(FeatureRow, position="B", set_index=BAD)] == [
+            "bad"
+        ] * 3
+        yield folder
 
 
 def shown(page):
@@ -360,28 +353,27 @@ def test_without_tiles_the_page_fills_itself(filled, open_page, monkeypatch):
 
 
 def test_no_difference_is_requested_before_a_baseline_exists(tmp_path, open_page):
-    filled = FilledFolder(tmp_path, SETTINGS)
-    filled.add_set(0, assessed=False)
-    with served(filled.settings, tmp_path) as fresh:
-        # The service ends before the page does.
-        page = open_page(f"{fresh.url}?position=B&shown=difference", forgiven="ERR_CONNECTION_REFUSED")
-        empty = page.locator("#waterfall .empty")
-        expect(empty).to_have_text("Position B has no baseline yet to differ from")
-        due = filled.due[0]
-        event = EventRow(
-            utc_ns=due.due_utc_ns,
-            topic="verdicts",
-            kind="baseline_frozen",
-            position="B",
-            set_index=0,
-            payload={},
-        )
-        filled.catalogue.commit_set(
-            SetCommit(assessments=[filled.assessment("B", 0, due.due_h)], events=[event])
-        )
-        until(lambda: shown(page)["ready"], "the difference is drawn once there is one")
-        assert shown(page)["header"]["baseline_sets"] == 1
-    filled.close()
+    with filled_folder(tmp_path, SETTINGS) as filled:
+        filled.add_set(0, assessed=False)
+        with served(filled.settings, tmp_path) as fresh:
+            # The service ends before the page does.
+            page = open_page(f"{fresh.url}?position=B&shown=difference", forgiven="ERR_CONNECTION_REFUSED")
+            empty = page.locator("#waterfall .empty")
+            expect(empty).to_have_text("Position B has no baseline yet to differ from")
+            due = filled.due[0]
+            event = EventRow(
+                utc_ns=due.due_utc_ns,
+                topic="assessments",
+                kind="baseline_frozen",
+                position="B",
+                set_index=0,
+                payload={},
+            )
+            filled.catalogue.commit_set(
+                SetCommit(assessments=[filled.assessment("B", 0, due.due_h)], events=[event])
+            )
+            until(lambda: shown(page)["ready"], "the difference is drawn once there is one")
+            assert shown(page)["header"]["baseline_sets"] == 1
 
 
 @pytest.mark.parametrize("viewport", [PHONE, pytest.param(WALL, marks=pytest.mark.slow)], ids=["390", "1920"])

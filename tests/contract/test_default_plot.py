@@ -9,12 +9,11 @@ import pytest
 import silx.io
 import silx.io.nxdata
 from click.testing import CliRunner
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.stored_files import set_files
 
 from daq_service.catalogue import open_catalogue
 from daq_service.cli.main import cli
-from daq_service.settings.tree import Settings
 
 FOLDERS = Path(__file__).parents[1] / "fixtures" / "folders"
 EARLIER = sorted(path.name.removesuffix(".tar.xz") for path in FOLDERS.glob("*.tar.xz"))
@@ -23,11 +22,8 @@ TABLE, RECORDS = ("--table", "features", "--position", "B"), ("--waveforms", "B"
 
 @pytest.fixture(scope="module")
 def today(tmp_path_factory):
-    filled = FilledFolder(tmp_path_factory.mktemp("today"), Settings(), shots_per_set=2)
-    for index in range(3):
-        filled.add_set(index)
-    yield filled.folder
-    filled.close()
+    with filled_folder(tmp_path_factory.mktemp("today"), shots_per_set=2, sets=3, stored=True) as filled:
+        yield filled.folder
 
 
 @pytest.fixture(scope="module")

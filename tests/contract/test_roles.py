@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served
 
 from daq_service.commands.registry import KINDS
@@ -46,22 +46,20 @@ ARGUMENTS = {
 def clients(tmp_path_factory):
     """Return a client of each role, and clients with a wrong, a revoked and no token."""
     folder = tmp_path_factory.mktemp("data")
-    filled = FilledFolder(folder, Settings())
-    filled.add_set(0, stored=False)
-    path = folder / "tokens.json"
-    tokens = {role: create_token(path, f"the-{role}", role)[1] for role in ROLES}
-    revoked = create_token(path, "gone", "admin")[1]
-    revoke_token(path, "gone")
-    with served(Settings(), folder) as service:
-        made = {
-            name: service.client(Authorization=f"Bearer {text}")
-            for name, text in {**tokens, "wrong": "x" * 43, "revoked": revoked}.items()
-        }
-        made["nobody"] = service.client()
-        yield made
-        for client in made.values():
-            client.close()
-    filled.close()
+    with filled_folder(folder, sets=1):
+        path = folder / "tokens.json"
+        tokens = {role: create_token(path, f"the-{role}", role)[1] for role in ROLES}
+        revoked = create_token(path, "gone", "admin")[1]
+        revoke_token(path, "gone")
+        with served(Settings(), folder) as service:
+            made = {
+                name: service.client(Authorization=f"Bearer {text}")
+                for name, text in {**tokens, "wrong": "x" * 43, "revoked": revoked}.items()
+            }
+            made["nobody"] = service.client()
+            yield made
+            for client in made.values():
+                client.close()
 
 
 def status(client, method, path, body=None):

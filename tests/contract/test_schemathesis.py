@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served
 
 from daq_service.settings.tree import Settings
@@ -31,13 +31,12 @@ ENDLESS = "stream_events"
 
 @pytest.fixture
 def full(tmp_path):
-    folder = FilledFolder(tmp_path, Settings(clock={"pace_h_per_s": 5.0}))
-    for index in range(3):
-        folder.add_set(index, shown=index == 2)
-    folder.add_alarm("B", 2)
-    folder.add_environment(2)
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path, Settings(clock={"pace_h_per_s": 5.0})) as folder:
+        for index in range(3):
+            folder.add_set(index, shown=index == 2)
+        folder.add_alarm("B", 2)
+        folder.add_environment(2)
+        yield folder
 
 
 def assert_nothing_is_found(url, tmp_path, *options, token=None, configuration=CONFIGURATION):

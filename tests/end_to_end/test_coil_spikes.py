@@ -20,7 +20,6 @@ import pytest
 from support.daqmx_models import running_brain
 from support.daqmx_rig import (
     CHAIN,
-    QUICK_TWIN,
     READ_TIMEOUT_S,
     TRANSPORTS,
     board,
@@ -54,7 +53,6 @@ QUICK = quick_description(board(), positions="C")
 DESCRIPTION = replace(
     QUICK, transducers={"C": replace(QUICK.transducers["C"], chain=replace(CHAIN, drop_height_m=DROP_M))}
 )
-NOISY = replace(DESCRIPTION, twin=replace(QUICK_TWIN, noise=NOISE))
 
 Case = tuple[str, float, float, float]
 HEIGHTS_V, LASTING_S = (0.05, 0.3, 1.0, 5.0), (1e-6, 50e-6, 0.5e-3, 2e-3, 5e-3)
@@ -171,23 +169,6 @@ def test_with_the_survey_s_own_proposal_none_of_a_thousand_is_lost_or_mistaken(
     assert taken == 500, "a thousand by both transports"
 
 
-@pytest.mark.parametrize(
-    ("cases", "shots"), [(SHORT[-1:], 2), pytest.param(CASES, 25, marks=pytest.mark.slow)]
-)
-def test_noise_on_top_of_the_ringing_loses_no_shot_either(
-    cases: list[Case], shots: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if reason := why_no("library"):
-        pytest.skip(reason)
-    with running_brain(NOISY) as noisy:
-        meet(noisy, monkeypatch)
-        wrong, taken = wrong_with(
-            parameters_of(NOISY, noisy, drop_height_m=DROP_M), noisy, cases, shots, NOISY
-        )
-    assert not wrong, "\n".join(wrong)
-    assert taken == shots * len(cases)
-
-
 @pytest.mark.parametrize("parameters", TRANSPORTS, indirect=True)
 def test_without_a_holdoff_the_shots_are_lost_and_the_survey_says_why(
     doubles: RunningDoubles, parameters: DaqmxParameters
@@ -205,18 +186,6 @@ def test_without_a_holdoff_the_shots_are_lost_and_the_survey_says_why(
 # The doctor -----------------------------------------------------------------------------------------
 
 
-@pytest.fixture(params=TRANSPORTS[:1])
-def by_library(
-    request: pytest.FixtureRequest, doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[RunningDoubles]:
-    if reason := why_no(request.param):
-        pytest.skip(reason)
-    meet(doubles, monkeypatch)
-    landed(doubles)
-    yield doubles
-    doubles.control.disturb("C", Crosstalk())
-
-
 def doctor(
     capsys: pytest.CaptureFixture[str], folder: Path, doubles: RunningDoubles, **changes: Any
 ) -> tuple[int, dict[str, dict[str, Any]], str]:
@@ -232,69 +201,3 @@ def doctor(
     code = run_doctor(config=config, data_dir=folder / "data", strike="C", as_json=True)
     text = capsys.readouterr().out
     return code, {check["name"]: check for check in json.loads(text)["checks"]}, text
-
-
-def test_the_doctor_names_the_spike_and_its_cure_and_the_cure_cures(
-    by_library: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    by_library.control.disturb("C", Crosstalk(on_v=0.3, off_v=0.8, decay_s=0.2e-3, flyback_v=-0.5))
-    code, checks, text = doctor(capsys, tmp_path, by_library)
-    spike = checks["strike C: coil's spike"]
-    assert (code, spike["state"]) == (3, "fail")
-    assert "on: spike 0.3" in spike["found"]
-    assert "takes the trigger" in spike["found"]
-    values = spike["values"]
-    assert f"holdoff_s = {values['proposed_holdoff_s']:g}" in spike["remedy"]
-    assert checks["strike C: record"]["values"]["flags"] == "false_trigger"
-    assert "holdoff_s" in checks["strike C: record"]["remedy"]
-    # The level is assessed by the strike that did show a wave: no advice comes from a number that is none.
-    assert checks["strike C: trigger level"]["state"] == "ok"
-    assert "nan" not in text.lower()
-    assert values["wave_after_s"] == pytest.approx(values["expected_wave_after_s"], rel=0.2)
-
-    cure = {"holdoff_s": values["proposed_holdoff_s"], "ringing_s": values["proposed_ringing_s"]}
-    code, checks, text = doctor(capsys, tmp_path, by_library, **cure)
-    assert (code, checks["strike C: coil's spike"]["state"]) == (0, "ok")
-    held = f"held off for {cure['holdoff_s'] * 1e3:.3g} ms"
-    assert held in checks["transducer C: trigger"]["found"]
-    assert held in checks["strike C: coil's spike"]["found"]
-    assert checks["strike C: record"]["values"]["flags"] in ("", "baseline")
-    assert json.loads(text)["strike"]["spike"]["off"]["height_v"] == pytest.approx(0.8, abs=0.6)
-
-
-def test_ringing_that_leaves_no_room_asks_for_another_cure(
-    by_library: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    by_library.control.disturb("C", Crosstalk(off_v=5.0, decay_s=20e-3, ringing_hz=200.0))
-    code, checks, text = doctor(capsys, tmp_path, by_library)
-    spike = checks["strike C: coil's spike"]
-    assert (code, spike["state"]) == (3, "fail")
-    assert "flyback diode" in spike["remedy"]
-    assert spike["values"]["proposed_holdoff_s"] is None
-    assert "nan" not in text.lower()
-
-
-def test_a_holdoff_longer_than_the_arrival_of_the_wave_is_reported(
-    by_library: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """As where the ball falls from less than the file says: here the file says 8 mm."""
-    boards = {"drop_height_m": 8e-3, "holdoff_s": 39e-3}
-    values = asdict(replace(parameters_of(DESCRIPTION, by_library), **boards))
-    config = tmp_path / "laboratory.json"
-    config.write_text(
-        json.dumps(
-            {
-                "clock": {"kind": "wall"},
-                "positions": {"C": {"method": "solitary_wave"}},
-                "rig": {"kind": "daqmx", "daqmx": values, "read_timeout_s": 0.5},
-            }
-        ),
-        encoding="utf-8",
-    )
-    code = run_doctor(config=config, data_dir=tmp_path / "data", strike="C", as_json=True)
-    checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
-    assert code == 3
-    finding = checks["strike C: coil's spike"]
-    assert finding["state"] == "fail"
-    assert finding["values"]["latest_holdoff_s"] < 39e-3
-    assert finding["values"]["proposed_holdoff_s"] < finding["values"]["latest_holdoff_s"]

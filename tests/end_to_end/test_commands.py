@@ -4,14 +4,12 @@ import json
 import os
 import re
 import signal
-import socket
 import subprocess
 import sys
 import urllib.error
 import urllib.request
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import dataclass
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,8 +20,6 @@ from support.small_experiment import rows_of, run, small_settings
 from support.waiting import until
 
 from daq_service.archive import FolderSetReader
-from daq_service.processes.data_folder import CONFIGURATION_FILE
-from daq_service.settings.file import load_settings
 
 # A coarse mesh and half of the strikes: these tests are about processes.
 QUICK = {
@@ -131,38 +127,21 @@ def answers(url: str) -> bool:
         return False
 
 
-@dataclass(frozen=True, slots=True)
-class Demo:
-    """Demo with its dashboard, whose first set is stored."""
-
-    process: subprocess.Popen[str]
-    folder: Path
-    url: str
-
-
-@pytest.fixture(scope="module")
-def demos(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Callable[[], Demo]]:
-    """Yield a running demo: that of the test before, or a new one if that has ended."""
-    with ExitStack() as stack:
-        last: list[Demo] = []
-
-        def running() -> Demo:
-            if not last or last[-1].process.poll() is not None:
-                folder = tmp_path_factory.mktemp("watched")
-                process = stack.enter_context(started("demo", "--pace", "1", "--data-dir", str(folder)))
-                url = line_with(process, r"http://127\.0\.0\.1:\d+")
-                # A slow machine is invited before that: patience has an end.
-                until(partial(answers, f"{url}/readyz"), "its first set")
-                last.append(Demo(process, folder, url))
-            return last[-1]
-
-        running()
-        yield running
-
-
-@pytest.fixture
-def watched(demos: Callable[[], Demo]) -> Demo:
-    return demos()
+@posix_only
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
+def test_ctrl_c_and_sigterm_end_everything_without_a_kill(tmp_path: Path, number: signal.Signals) -> None:
+    with started("demo", "--pace", "1", "--data-dir", str(tmp_path)) as process:
+        url = line_with(process, r"http://127\.0\.0\.1:\d+")
+        until(partial(answers, f"{url}/readyz"), "its first set")
+        children = children_of(process.pid)
+        # To the whole group, as a terminal does.
+        os.killpg(process.pid, number)
+        assert process.wait(LIMIT_S) == 130
+    assert not any(is_running(child) for child in children.values())
+    log = (tmp_path / "logs" / "supervisor.log").read_text(encoding="utf-8")
+    assert "did not leave" not in log, "each child left by itself before its time was up"
+    stored = {row.set_index for row in rows_of(tmp_path)["sets"] if row.n_taken}
+    assert len(stored) == sets_done(tmp_path), "every stored set has its rows"
 
 
 def test_demo_prints_one_object_with_all_documented_keys(two_hours: tuple[Path, dict[str, Any]]) -> None:
@@ -191,149 +170,6 @@ def test_demo_prints_one_object_with_all_documented_keys(two_hours: tuple[Path, 
     assert d["n_baseline"] == 4
 
 
-@posix_only
-@pytest.mark.slow
-def test_a_recorder_that_is_killed_is_restarted_and_changes_no_number(
-    two_hours: tuple[Path, dict[str, Any]], tmp_path: Path
-) -> None:
-    whole, result = two_hours
-    # Half a second from set to set.
-    with started(*TWO_HOURS, str(tmp_path), "--pace", "1") as process:
-        until(lambda: sets_done(tmp_path) >= 1, "the first set")
-        os.kill(children_of(process.pid)["record"], signal.SIGKILL)
-        output, _ = process.communicate(timeout=LIMIT_S)
-        assert process.returncode == 0
-    assert json.loads(output.splitlines()[-1])["positions"] == result["positions"]
-    assert rows_of(tmp_path) == rows_of(whole)
-    log = (tmp_path / "logs" / "supervisor.log").read_text(encoding="utf-8")
-    assert log.count("was killed by signal 9") == 1
-
-
-@posix_only
-def test_a_killed_web_service_comes_back_at_its_address_and_costs_no_set(watched: Demo) -> None:
-    web = until(lambda: children_of(watched.process.pid).get("serve"), "the web service's start")
-    os.kill(web, signal.SIGKILL)
-    until(lambda: children_of(watched.process.pid).get("serve", web) != web, "the web service's restart")
-
-    def answers() -> bool:
-        try:
-            with urllib.request.urlopen(f"{watched.url}/healthz", timeout=1.0) as answer:
-                return bool(answer.status == 200)
-        except OSError:
-            return False  # not up yet
-
-    until(answers, "an answer at the old address")
-    before = sets_done(watched.folder)
-    until(lambda: sets_done(watched.folder) > before, "another set")
-
-
-@pytest.mark.slow
-def test_a_second_recorder_on_the_same_folder_is_refused(watched: Demo) -> None:
-    config = str(watched.folder / CONFIGURATION_FILE)
-    second = solimon_here("record", config, "--data-dir", str(watched.folder), env=QUICK)
-    assert second.returncode == 5
-    assert "another recorder owns" in second.stderr
-    assert "--data-dir" in second.stderr
-
-
-def test_commands_are_sent_from_another_terminal(watched: Demo) -> None:
-    folder = watched.folder
-
-    def order(*arguments: str) -> tuple[int, str]:
-        done = solimon_here(*arguments, "--data-dir", str(folder), env=QUICK)
-        return done.returncode, done.stdout + done.stderr
-
-    code, text = order("pause", "--note", "door open", "--author", "ann", "--json")
-    assert code == 0
-    answer = json.loads(text)
-    assert (answer["kind"], answer["author"], answer["arguments"], answer["state"]) == (
-        "pause",
-        "ann",
-        {"note": "door open"},
-        "done",
-    )
-    assert json.loads(order("status", "--json")[1])["held"] == "held by ann: door open"
-    code, text = order("pause")
-    assert code == 2
-    assert "a pause needs a reason, which everybody sees: --reason 'hands in the rig'" in text
-    code, text = order("pause", "--reason", "door still open")
-    assert code == 2
-    assert "already paused: held by ann: door open" in text
-    assert order("disable", "--position", "C", "--note", "coil is hot") == (0, "C is disabled\n")
-    assert order("disable", "--position", "Z")[0] == 2
-    assert order("enable", "--position", "C")[0] == 0
-    assert order("resume")[0] == 0
-    stored = sets_done(folder)
-    until(lambda: sets_done(folder) > stored, "a set after the release")
-
-
-@posix_only
-@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
-def test_ctrl_c_and_sigterm_end_everything_without_a_kill(watched: Demo, number: signal.Signals) -> None:
-    children = children_of(watched.process.pid)
-    # To the whole group, as a terminal does.
-    os.killpg(watched.process.pid, number)
-    assert watched.process.wait(LIMIT_S) == 130
-    assert not any(is_running(child) for child in children.values())
-    log = (watched.folder / "logs" / "supervisor.log").read_text(encoding="utf-8")
-    assert "did not leave" not in log, "each child left by itself before its time was up"
-    rows = rows_of(watched.folder)
-    stored = {row.set_index for row in rows["sets"] if row.n_taken}
-    assert len(stored) == sets_done(watched.folder), "every stored set has its rows"
-
-
-@posix_only
-def test_an_operators_stop_is_kept_by_the_supervisor(watched: Demo) -> None:
-    recorder = children_of(watched.process.pid)["record"]
-    order = urllib.request.Request(
-        f"{watched.url}/api/v1/commands",
-        data=json.dumps({"kind": "stop", "author": "ann"}).encode(),
-        headers={"Content-Type": "application/json"},
-    )
-    with urllib.request.urlopen(order, timeout=LIMIT_S) as answer:
-        assert answer.status == 202
-    line_with(watched.process, "the recorder was told to stop")
-    assert not is_running(recorder)
-    assert "record" not in children_of(watched.process.pid)
-    stored = sets_done(watched.folder)
-    # The dashboard stays, and shows the state; nothing is struck meanwhile.
-    with urllib.request.urlopen(f"{watched.url}/api/v1/health", timeout=LIMIT_S) as answer:
-        assert json.load(answer)["as_of"]["recorder"] == "stopped"
-    watched.process.send_signal(signal.SIGINT)
-    assert watched.process.wait(LIMIT_S) == 130
-    assert sets_done(watched.folder) == stored
-    log = (watched.folder / "logs" / "supervisor.log").read_text(encoding="utf-8")
-    assert not re.search("recorder .*started again", log)
-
-
-@posix_only
-def test_nothing_strikes_on_after_the_supervisor_is_killed(watched: Demo) -> None:
-    children = children_of(watched.process.pid)
-    assert set(children) == {"record", "serve"}
-    os.kill(watched.process.pid, signal.SIGKILL)
-    watched.process.wait(LIMIT_S)
-    until(lambda: not any(is_running(child) for child in children.values()), "the children's end")
-    before = sets_done(watched.folder)
-    # No clean-up by hand: the same folder goes on at once.
-    further = {"schedule": {"end_h": 0.5 * (before + 2)}, "clock": {"pace_h_per_s": None}}
-    assert run(load_settings(watched.folder / CONFIGURATION_FILE, overrides=further), watched.folder)
-    assert sets_done(watched.folder) == before + 2
-
-
-@posix_only
-def test_a_command_without_a_recorder_is_rejected(two_hours: tuple[Path, dict[str, Any]]) -> None:
-    folder, _ = two_hours
-    beat = folder / "heartbeat.json"
-    before = beat.read_text(encoding="utf-8")
-    beat.unlink()
-    try:
-        done = solimon_here("pause", "--reason", "why", "--data-dir", str(folder), env=QUICK)
-    finally:
-        beat.write_text(before, encoding="utf-8")
-    assert done.returncode == 5
-    assert "no recorder runs" in done.stderr
-
-
 def test_on_the_wall_clock_no_strike_comes_early(tmp_path: Path) -> None:
     schedule = {
         "phases": [{"until_h": 0.001, "interval_h": 0.0005}],  # 1.8 s
@@ -355,31 +191,12 @@ def test_on_the_wall_clock_no_strike_comes_early(tmp_path: Path) -> None:
     assert {row.boot_id for row in rows["shots"]} != {"simulated"}
 
 
-def test_a_port_in_use_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq_service.cli.run.log_to", lambda path: None)  # for the life of a process
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = str(taken.getsockname()[1])
-        done = solimon_here("serve", "--port", port, "--data-dir", str(tmp_path), env=QUICK)
-    assert done.returncode == 5
-    assert port in done.stderr
-
-
 def test_a_data_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("precious")
     done = solimon_here("record", "--data-dir", str(tmp_path / "file" / "data"), env=QUICK)
     assert done.returncode == 4
     assert "data folder" in done.stderr
     assert (tmp_path / "file").read_text() == "precious"
-
-
-@pytest.mark.skipif(os.name == "nt" or os.geteuid() == 0, reason="root and Windows write read-only folders")
-def test_a_data_folder_that_cannot_be_written_is_refused(tmp_path: Path) -> None:
-    tmp_path.chmod(0o500)
-    done = solimon_here("record", "--data-dir", str(tmp_path), env=QUICK)
-    assert done.returncode == 4
-    assert "cannot be written" in done.stderr
 
 
 def test_a_folder_of_another_configuration_is_refused(two_hours: tuple[Path, dict[str, Any]]) -> None:
@@ -415,27 +232,11 @@ def test_a_refusal_is_the_exit_code_and_the_last_words_of_the_process(tmp_path: 
     assert process.stderr == solimon_here("record", str(config), env=QUICK).stderr
 
 
-def test_an_unknown_option_is_a_usage_error() -> None:
-    assert solimon_here("demo", "--sed", "1", env=QUICK).returncode == 2
-
-
 def test_check_config_counts_the_papers_experiment(tmp_path: Path) -> None:
     facts = json.loads(solimon_here("check-config", "--json", "--data-dir", str(tmp_path), env={}).stdout)
     assert (facts["sets"], facts["strikes"], facts["pulse_echo_records"]) == (425, 12_750, 425)
     assert facts["end_utc"] == "2024-01-15T14:00:00.000Z"
     assert facts["free_bytes"] > 0
-
-
-def test_status_prints_the_status_of_a_test(two_hours: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
-    folder, _ = two_hours
-    facts = json.loads(solimon_here("status", "--json", "--data-dir", str(folder), env=QUICK).stdout)
-    assert facts["counts"]["sets"] == 4
-    assert facts["recorder"].startswith("finished"), "its last heartbeat is young, but it has ended"
-    assert facts["positions"]["B"]["last_set"]["set_index"] == 3
-    assert facts["disk"]["needed_bytes"] == 0, "by the schedule of this test"
-    empty = solimon_here("status", "--data-dir", str(tmp_path), env=QUICK)
-    assert empty.returncode == 0
-    assert "no data yet" in empty.stdout
 
 
 def test_simulate_gives_one_shot_or_a_table(tmp_path: Path) -> None:

@@ -1,9 +1,7 @@
 """`solimon doctor` and a rehearsal on doubles of NI's boards: the real driver, the unmodified `nidaqmx`."""
 
 import json
-import os
 import re
-import socket
 import subprocess
 import sys
 import textwrap
@@ -13,14 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from support.command_line import solimon_here
 from support.daqmx_models import running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,
     board,
     coil_pulses_s,
-    functions_of,
     meet,
     parameters_of,
     quick_description,
@@ -32,11 +28,9 @@ from support.stored_files import read_set, set_files
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.cli.doctor.command import run_doctor
-from daq_service.errors import RigError
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
-from daq_service.settings.file import config_file, load_settings
+from daq_service.processes.data_folder import prepare_data_folder
+from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
-from hardware_drivers.daqmx.client_lock import ClientLock
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW, Description
 from simulator.doubles.transports.control import RunningDoubles
 from simulator.doubles.transports.library import why_unavailable
@@ -141,18 +135,6 @@ def test_the_record_of_lines_would_show_a_strike(
     assert record["tasks"] == []
 
 
-def test_a_strike_is_refused_while_a_recorder_owns_the_folder(
-    doubles: RunningDoubles, tmp_path: Path
-) -> None:
-    folder, config = tmp_path / "data", configuration(tmp_path, doubles)
-    prepare_data_folder(folder)
-    with own_data_folder(folder):
-        done = solimon_here("doctor", str(config), "--data-dir", str(folder), "--strike", "C", env={})
-    assert done.returncode == 5
-    assert f"--strike is refused: another recorder owns {folder} (process {os.getpid()})" in done.stderr
-    assert doubles.control.record()["calls"] == [], "not one call reached the driver"
-
-
 def test_boards_of_a_running_recorder_are_left_alone(
     doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -173,106 +155,6 @@ def test_boards_of_a_running_recorder_are_left_alone(
     assert f"process {owner.pid}" in checks["recorder"]["found"]
     assert checks["boards"]["state"] == "skipped"
     assert doubles.control.record()["calls"] == []
-
-
-@pytest.mark.parametrize("strike", ["C", None])
-def test_boards_reserved_by_another_process_are_reported_and_not_struck(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str], strike: str | None
-) -> None:
-    config = configuration(tmp_path, doubles)
-    doubles.control.occupy(f"{SIMULTANEOUS_16_BIT.name}/ai", "LabVIEW")
-    try:
-        code, checks, _ = doctor(capsys, config, tmp_path / "data", strike=strike)
-    finally:
-        doubles.control.vacate("LabVIEW")
-    assert code == 5
-    assert "LabVIEW" in checks["transducer C: trigger"]["found"]
-    assert checks["transducer C: trigger"]["remedy"].startswith("end the program that holds it")
-    if strike is not None:
-        assert "LabVIEW" in checks["strike C: record"]["found"]
-    assert coil_pulses_s(doubles.control.record()) == []
-
-
-def test_another_broken_instrument_forbids_no_strike(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    wired = parameters_of(DESCRIPTION, doubles).transducers
-    absent = replace(wired["B"], board_serial="0BADC0DE")
-    config = configuration(tmp_path, doubles, transducers={**wired, "B": absent})
-    code, checks, report = doctor(capsys, config, tmp_path / "data", strike="D")
-    assert code == 3
-    assert checks["board 0BADC0DE: present"]["state"] == "fail"
-    assert report["strike"]["features"]["isw_amplitude_v"] > 0.25
-    assert [event["position"] for event in doubles.control.record()["lines"] if event["level"]] == ["D"] * 2
-
-
-def test_missing_boards_of_a_laboratory(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    file = tmp_path / "lab.toml"
-    file.write_text(config_file("laboratory.toml").read_text("utf-8").replace("PLACEHOLDER", "FFFFFFFF"))
-    code, checks, _ = doctor(capsys, file, tmp_path / "data")
-    assert code == 3
-    present = checks["board FFFFFFFF: present"]
-    assert present["state"] == "fail"
-    assert "no board with this serial number" in present["found"]
-    assert "board_serial" in present["remedy"]
-    unremedied = [name for name, check in checks.items() if check["state"] != "ok" and not check["remedy"]]
-    assert unremedied == []
-
-
-def test_a_board_too_slow_is_refused_with_the_rate_it_can_do(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    one = replace(DESCRIPTION, transducers={"B": DESCRIPTION.transducers["B"]})
-    wiring = parameters_of(one, doubles).transducers["B"]
-    wiring = replace(wiring, board_serial=f"{SLOW.serial_number:08X}")
-    config = configuration(tmp_path, doubles, one, transducers={"B": wiring})
-    code, checks, _ = doctor(capsys, config, tmp_path / "data")
-    assert code == 3
-    refused = checks["transducer B: board can do it"]
-    assert refused["state"] == "fail"
-    assert "PCI-6221 00C16021 does at most 250000 Hz on one channel" in refused["found"]
-    assert "lower the rate" in refused["remedy"]
-    with pytest.raises(RigError, match="does at most 250000 Hz on one channel; lower the rate to that"):
-        run(load_settings(config), tmp_path / "r")
-    assert set_files(tmp_path / "r") == {}
-    assert coil_pulses_s(doubles.control.record()) == []
-
-
-def test_a_noisy_input_is_reported_with_its_trigger_level(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, trigger_level_v=0.1), tmp_path / "data")
-    assert code == 0, "a warning is no failure"
-    assert checks["transducer B: noise"]["state"] == "warn"
-    assert "five times the noise" in checks["transducer B: noise"]["remedy"]
-
-
-@pytest.mark.parametrize(
-    ("lines", "state"), [(["port2/line4", "port2/line5", "port2/line6"], "ok"), (["port2/line4"], "fail")]
-)
-def test_a_watchdog_covers_every_coil(
-    doubles: RunningDoubles,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture[str],
-    lines: list[str],
-    state: str,
-) -> None:
-    config = configuration(tmp_path, doubles)
-    values = json.loads(config.read_text(encoding="utf-8"))
-    values["rig"]["daqmx"]["watchdog"] = {
-        "board_serial": f"{SIMULTANEOUS_16_BIT.serial_number:08X}",
-        "lines": lines,
-        "timeout_s": 1.0,
-    }
-    config.write_text(json.dumps(values), encoding="utf-8")
-    code, checks, _ = doctor(capsys, config, tmp_path / "data")
-    assert checks["watchdog"]["state"] == state
-    if state == "fail":
-        assert code == 3
-        assert "PFI13 (position C), PFI14 (position D)" in checks["watchdog"]["found"]
-    assert "CreateWatchdogTimerTaskEx" in functions_of(doubles.control.record()), "the board was asked"
 
 
 def test_a_rehearsal_takes_whole_sets_with_every_coil_low(doubles: RunningDoubles, tmp_path: Path) -> None:
@@ -312,45 +194,3 @@ def test_the_power_up_states_of_the_safety_page_are_set(doubles: RunningDoubles)
     }
     low = {line for line, state in states.items() if state == PowerUpStates.LOW}
     assert low == {f"{name}/port2/line{number}" for number in (4, 5, 6)}, "the coils' lines and no other"
-
-
-def test_the_configuration_of_a_rehearsal_strikes_nothing_on_request(
-    doubles: RunningDoubles, tmp_path: Path
-) -> None:
-    config = configuration(tmp_path, doubles, dry_run=True)
-    done = solimon_here("doctor", str(config), "--strike", "B", "--data-dir", str(tmp_path / "data"), env={})
-    assert done.returncode == 2
-    assert "dry_run is true" in done.stderr
-    assert doubles.control.record()["calls"] == []
-
-
-def test_a_server_is_reached_and_a_missing_one_is_reported_at_once(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    if not doubles.grpc:
-        pytest.skip("the double was started without the extra grpc")
-    boards = parameters_of(DESCRIPTION, doubles, transport="grpc")
-    changes: dict[str, Any] = {
-        "transport": "grpc",
-        "grpc_client_name": boards.grpc_client_name,
-        "grpc_address": boards.grpc_address,
-    }
-    code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, **changes), tmp_path / "data")
-    assert code == 0, [check for check in checks.values() if check["state"] == "fail"]
-    assert checks["gRPC server"]["state"] == "ok"
-    assert "by grpc" in checks["driver: reachable"]["found"]
-    assert coil_pulses_s(doubles.control.record()) == []
-    lock = ClientLock(boards.grpc_address, boards.grpc_client_name)
-    try:
-        code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, **changes), tmp_path / "data")
-    finally:
-        lock.release()
-    assert code == 5, "another recorder of this computer, with another data folder"
-    assert f"process {os.getpid()}" in checks["driver: reachable"]["found"]
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))  # without a listener
-        changes["grpc_address"] = f"127.0.0.1:{taken.getsockname()[1]}"
-        code, checks, _ = doctor(capsys, configuration(tmp_path, doubles, **changes), tmp_path / "data")
-    assert code == 3
-    assert "does not take a connection" in checks["gRPC server"]["found"]
-    assert "driver: reachable" not in checks

@@ -14,10 +14,9 @@ from support.small_experiment import run, small_settings
 from support.stored_files import set_files
 from support.table_rows import lose_catalogue, table_rows
 
-from daq_service.catalogue import check_owner, open_catalogue
+from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
-from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE
+from daq_service.catalogue.errors import CatalogueDamagedError
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import boot_name, wall
 from daq_service.recording import session
@@ -58,7 +57,7 @@ def test_the_next_recorder_rebuilds_the_catalogue_and_continues_from_the_same_ho
     after = table_rows(started_folder)
     del before["counts"]  # they go on; below they are compared
     for name, rows in before.items():
-        columns = 4 if name == "verdicts" else None  # those of the baseline's sets waited for it
+        columns = 4 if name == "assessments" else None  # those of the baseline's sets waited for it
         assert [row[:columns] for row in after[name][: len(rows)]] == [row[:columns] for row in rows], name
     with open_catalogue(started_folder) as catalogue:
         states = [row.state for row in catalogue.rows(SetRow, position="B")]
@@ -72,23 +71,6 @@ def test_the_next_recorder_rebuilds_the_catalogue_and_continues_from_the_same_ho
     assert (answer.returncode, json.loads(answer.stdout)["warnings"]) == (0, [])
     assert "set 5 of 5" in answer.stderr
     assert table_rows(started_folder) == whole
-
-
-@MACHINE_NAMES_ITS_BOOT
-def test_another_experiment_is_not_taken_into_the_same_baseline(machine, started_folder):
-    lower = settings_of(drop_height_m=3e-3)
-    both = r"drop_height_m began with 0.005, is 0.003 now"
-    lose_catalogue(started_folder)
-    with pytest.raises(OtherExperimentError, match=both):
-        check_owner(lower, started_folder)
-    with pytest.raises(OtherExperimentError, match=both):
-        run(lower, started_folder, wall_clock=machine.clock)
-    # Nothing but the sets is left.
-    lose_catalogue(started_folder, EXPERIMENT_FILE, HISTORY_FILE)
-    with pytest.raises(OtherExperimentError, match=both):
-        run(lower, started_folder, wall_clock=machine.clock)
-    assert len(set_files(started_folder)) == 2
-    assert not (started_folder / EXPERIMENT_FILE).exists()
 
 
 @MACHINE_NAMES_ITS_BOOT

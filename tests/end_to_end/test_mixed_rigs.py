@@ -20,15 +20,12 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import EnvironmentRow, EventRow, SetRow
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.clock import WallClock
-from daq_service.errors import RigError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.recording.session import longest_call_s, record
 from daq_service.rig.open_rig import open_rig, open_supply
 from daq_service.settings.instruments import with_defaults
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.errors import ConnectionLostError
-from hardware_drivers.measurement import ShotKey
 from simulator.doubles.transports.control import RunningDoubles
 
 HAMMER, SCOPE = {"kind": "scripted-hammer"}, {"kind": "scripted-scope"}
@@ -167,39 +164,6 @@ def test_a_person_is_prompted_on_every_channel_until_the_strike_ends(script: Scr
     assert longest_call_s(settings) == 500.0
 
 
-def test_a_strike_that_does_not_come_is_a_missed_shot(script: Script, folder: Path) -> None:
-    script.comes = False
-    assert run(mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer")}), folder)
-    assert [row.kind for row in events_of(folder, "asked", "asked_over")] == ["asked", "asked_over"] * SHOTS
-    (row,) = set_rows(folder).values()
-    assert (row.state, row.n_taken) == ("missed", 0)
-    assert "nothing came at B within 5 s" in row.cause
-    assert script.events.count("make_safe") == SHOTS + 1, "after each miss, and at the end"
-
-
-def test_every_striker_is_made_safe_though_one_fails(script: Script) -> None:
-    failures = [ConnectionLostError("the first is gone")]
-
-    def fails(event: str) -> None:
-        if event == "make_safe" and failures:
-            raise failures.pop()
-
-    settings = mixed(
-        {"one": HAMMER, "other": HAMMER, "scope": SCOPE},
-        {"B": ("scope", "one"), "C": ("scope", "other")},
-    )
-    clock = WallClock()
-    with open_rig(settings, clock, clock.utc_ns()) as rig:
-        rig.digitizer.arm(ShotKey(position="C", set_index=0, shot_index=0))
-        del script.events[:]
-        script.fails = fails
-        with pytest.raises(ConnectionLostError, match="the first is gone"):
-            rig.make_safe()
-        assert script.events == ["make_safe", "make_safe", "disarm"], "coils first, then the digitizer"
-        del script.events[:]
-    assert script.events == ["make_safe", "make_safe", "disarm", "close", "close", "close"]
-
-
 def test_each_instrument_is_opened_once_with_the_positions_it_serves(script: Script) -> None:
     settings = mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer"), "C": ("scope", "hammer")})
     clock = WallClock()
@@ -209,12 +173,6 @@ def test_each_instrument_is_opened_once_with_the_positions_it_serves(script: Scr
     assert (hammer.serves, scope.serves) == ({"striker": ("B", "C")}, {"digitizer": ("B", "C")})
     assert (scope.positions, scope.epoch_utc_ns, scope.shot_interval_s) == (("B", "C"), 5, 1e-4)
     assert scope.experiment["rig"]["instruments"]["scope"]["range_v"] == 10.0
-
-
-def test_a_kind_without_an_offered_instrument_is_named(script: Script, folder: Path) -> None:
-    settings = mixed({"liar": {"kind": "liar"}, "scope": SCOPE}, {"B": ("scope", "liar")})
-    with pytest.raises(RigError, match=r"rig.instruments.liar: .* opened without a striker.*lab-drivers 1.2"):
-        run(settings, folder)
 
 
 def test_supply_and_climate_of_other_packages_are_logged(script: Script, folder: Path) -> None:

@@ -1,6 +1,5 @@
 """Whole sets through the vendor's unmodified packages, with the twin below them."""
 
-import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -16,9 +15,8 @@ from support.stored_files import read_set, set_files
 from support.waiting import happened
 
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.rows import AlarmRow, FeatureRow, SetRow
+from daq_service.catalogue.rows import FeatureRow, SetRow
 from daq_service.cli.run import child_plans
-from daq_service.errors import UsageError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.processes.supervisor import Supervisor
 from daq_service.recording.session import record
@@ -125,8 +123,6 @@ def test_a_set_through_nidaqmx_equals_the_twin_and_stores_its_settings(
 
 SECOND_H = 1.0 / 3600.0
 PULSE_NS = 20_000_000
-BOARD_SERIAL = 0x01E16086
-INVALID_VALUE = -200077
 
 
 def one_transducer(running: DemoRig, sets: int, **clock: Any) -> DemoRig:
@@ -207,76 +203,3 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: s
         for on, off in zip(events[::2], events[1::2], strict=True):
             assert off["ns"] - on["ns"] <= PULSE_NS * 1.01
     assert not any(driver_record["levels"].values())
-
-
-def nothing_is_left(doubles: DoublesControl) -> bool:
-    driver_record = doubles.record()
-    return not (
-        driver_record["tasks"]
-        or driver_record["leaked"]
-        or driver_record["reservations"]
-        or any(driver_record["levels"].values())
-    )
-
-
-def sets_and_alarm(folder: Path) -> tuple[list[Mapping[str, Any]], Mapping[str, Any]]:
-    with open_catalogue(folder) as catalogue:
-        (alarm,) = [row for row in catalogue.rows(AlarmRow) if row.kind == "rig_unavailable"]
-        return catalogue.rows(SetRow, position="D"), alarm
-
-
-@pytest.mark.parametrize("rig", NI_RIGS)
-def test_a_board_that_comes_back_under_another_name_costs_the_sets_it_was_gone(
-    rig: str, tmp_path: Path
-) -> None:
-    with (
-        rig_here(rig) as started,
-        DoublesControl(started.environment[CONTROL_VARIABLE]) as doubles,
-    ):
-
-        def notify(event: str, **values: Any) -> None:
-            if event == "progress" and values["done"] == 1:
-                doubles.unplug(BOARD_SERIAL)
-            if event == "progress" and values["done"] == 3:
-                doubles.plug(BOARD_SERIAL, "Dev9")
-
-        assert follow(one_transducer(started, 6), tmp_path, notify)
-        assert nothing_is_left(doubles)
-    sets, alarm = sets_and_alarm(tmp_path)
-    assert [row.state for row in sets] == ["done", "missed", "missed", "done", "done", "done"]
-    assert all("(DAQmx -" in row.cause for row in sets[1:3])
-    assert (alarm.raised_set_index, alarm.state) == (1, "returned_unacknowledged")
-
-
-@pytest.mark.parametrize("rig", NI_RIGS)
-def test_a_request_that_the_board_refuses_in_the_midst_of_a_test_costs_its_set(
-    rig: str, tmp_path: Path
-) -> None:
-    with (
-        rig_here(rig) as started,
-        DoublesControl(started.environment[CONTROL_VARIABLE]) as doubles,
-    ):
-
-        def notify(event: str, **values: Any) -> None:
-            if event == "progress" and values["done"] == 1:
-                doubles.inject("DAQmxStartTask", "error", code=INVALID_VALUE)
-
-        running = one_transducer(started, 4)
-        assert follow(running, tmp_path, notify)
-        assert nothing_is_left(doubles)
-    sets, alarm = sets_and_alarm(tmp_path)
-    assert [row.state for row in sets] == ["done", "missed", "done", "done"]
-    assert str(INVALID_VALUE) in sets[1].cause
-    assert alarm.state == "returned_unacknowledged"
-    assert "the next set tries again" in alarm.message
-
-
-def test_a_missing_compiler_is_named_with_its_remedy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setenv("PATH", str(tmp_path))
-    if not sys.platform.startswith("linux"):
-        pytest.skip("the library's double is refused for the system itself")
-    with (
-        pytest.raises(UsageError, match=r"compiler.*install.*--rig daqmx-grpc"),
-        running_rig("daqmx-library", {}),
-    ):
-        pass

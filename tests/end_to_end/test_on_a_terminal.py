@@ -11,7 +11,6 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
-from support.command_line import solimon_here
 from support.waiting import WAIT_S, until
 
 from daq_service.archive import FolderSetReader
@@ -117,22 +116,6 @@ def test_record_prints_its_progress_and_keeps_the_last_line(recorded: PseudoTerm
 def test_run_prints_the_address_the_progress_a_restart_and_the_end(ran: PseudoTerminal, folder: Path) -> None:
     check("run", ran, folder, at_any_time="dashboard")
     assert len(FolderSetReader(folder).sets()) == 2, "the folder of the configuration, beside its file"
-
-
-def test_status_is_a_table_with_colour(ran: PseudoTerminal, folder: Path) -> None:
-    del ran
-    with on_terminal(arguments("status", folder=folder), QUICK) as terminal:
-        assert terminal.end() == 0
-    check("status", terminal, folder)
-    assert "\x1b[32mfinished: " in terminal.written
-    assert "\x1b[36mlearning" in terminal.written
-
-
-def test_status_in_a_pipe_has_the_same_words_and_no_colour(ran: PseudoTerminal, folder: Path) -> None:
-    del ran
-    done = solimon_here("status", "--data-dir", str(folder), env=QUICK)
-    kept = (PICTURES / "status.txt").read_text(encoding="utf-8")
-    assert masked(done.stdout, folder) == kept
 
 
 def test_serve_prints_its_address_and_ends_by_ctrl_c(ran: PseudoTerminal, folder: Path) -> None:

@@ -39,20 +39,3 @@ def test_a_position_may_have_a_solid_of_its_own(tmp_path: Path) -> None:
     text = '[positions.B]\nmethod = "solitary_wave"\nplate = { model = "solid", solid = { degree = 3 } }\n'
     alone = simulate(tmp_path, text, "--json", "--depth", "0.4", "--position", "B")
     assert json.loads(alone.stdout)["tof_us"] == pytest.approx(347.65, abs=0.5)
-
-
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        (COARSE.replace("[plate]", '[plate]\nsupport = "free"'), "plate.support is 'free'"),
-        (COARSE + '\n[corrosion]\nprofile = "bowl"\n', "corrosion.profile is 'bowl'"),
-        (COARSE.replace("degree = 3", "degree = 2"), "degree"),
-    ],
-)
-def test_parameters_that_the_solid_does_not_support_are_refused_with_a_remedy(
-    tmp_path: Path, text: str, words: str
-) -> None:
-    done = simulate(tmp_path, text, "--depth", "0.4")
-    assert done.returncode != 0
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr

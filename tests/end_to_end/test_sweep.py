@@ -1,6 +1,5 @@
 """`solimon simulate --sweep` as a whole process: killed, interrupted, and through the command line."""
 
-import csv
 import json
 import os
 import re
@@ -13,7 +12,6 @@ import pytest
 from click.testing import CliRunner, Result
 
 from daq_service.cli.main import cli
-from daq_service.errors import StorageError, UsageError
 
 SOLIMON = [sys.executable, "-m", "daq_service.cli"]
 LIMIT_S = 120.0
@@ -100,34 +98,6 @@ def quick(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_sweep_at_a_position_gives_the_digits_of_single_shots(tmp_path: Path) -> None:
-    output = tmp_path / "table.csv"
-    done = simulate(
-        *("--position", "C", "--tilt-rad", "0.01", "--out", str(output)),
-        *("--sweep", "chain.drop_height_m=3e-3,5e-3", "--sweep", "corrosion.depth_fraction=0,0.37"),
-    )
-    assert done.exit_code == 0, done.output
-    with output.open(encoding="utf-8", newline="") as file:
-        rows = list(csv.DictReader(file))
-    facts = json.loads(Path(f"{output}.json").read_text(encoding="utf-8"))
-    assert facts["parameters"]["corrosion"]["size_m"] == 50.8e-3
-    assert facts["position"] == "C"
-    assert f"content hash {facts['content_hash']}" in done.stdout
-    assert len(rows) == 4
-    for row in rows:
-        shot = json.loads(
-            simulate(
-                *("--position", "C", "--tilt-rad", "0.01", "--json"),
-                *("--drop-height-m", row["chain.drop_height_m"], "--depth", row["corrosion.depth_fraction"]),
-            ).stdout
-        )
-        for name in facts["columns"]:
-            if name in shot:
-                assert float(row[name]) == shot[name], name
-        assert {"tof_us", "amplitude_ratio", "energy_residual", "step_s"} <= set(shot) & set(row)
-
-
-@pytest.mark.usefixtures("quick")
 def test_depths_is_short_for_a_sweep_of_the_depth(tmp_path: Path) -> None:
     short, long = tmp_path / "short.csv", tmp_path / "long.csv"
     assert simulate("--depths", "0:0.8:3", "--out", str(short)).exit_code == 0
@@ -150,35 +120,3 @@ def test_a_sweep_file_and_the_printed_table(tmp_path: Path) -> None:
     rows = json.loads(simulate("--sweep-file", str(path), "--json").stdout)
     assert rows["content_hash"] in hashed
     assert [row["plate.model"] for row in rows["shots"]] == ["mindlin", "rigid_wall"]
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        (["--sweep", "chain.drop_height=0.003"], r"did you mean chain\.drop_height_m\?"),
-        (["--sweep", "chain.drop_height_m=0.003,7"], r"row 2 .* is refused"),
-        (["--sweep", "corrosion.depth_fraction=0:0.4:3", "--depth", "0.1"], "leave one out"),
-        (["--depths", "0:0.8:3", "--sweep", "corrosion.depth_fraction=0"], "swept twice"),
-        (["--sweep", "chain.mass_kg=0.02", "--sweep-file", "x.csv"], "without --sweep"),
-        (["--sweep-file", "absent.csv"], "cannot read"),
-        (["--out", "t.csv"], r"--out belongs to a sweep: give --sweep"),
-        (["--zip"], r"--zip belongs to a sweep"),
-        (["--depths", "0:0.8:3", "--skip-invalid"], r"--skip-invalid belongs to a sweep"),
-        (["--sweep", "chain.mass_kg=0.02", "--out", "t.txt"], r"must end in \.csv"),
-        (["--model", "zener", "--sweep", "chain.sensor=disk"], "no influence on --model zener"),
-        (["--model", "zener", "--sweep", "chain.mass_kg=0.02", "--waveforms"], "leave it out"),
-    ],
-)
-def test_an_impossible_option_is_a_usage_error(arguments: list[str], words: str) -> None:
-    done = simulate(*arguments)
-    assert isinstance(done.exception, UsageError)
-    assert re.search(words, str(done.exception))
-    assert done.stdout == ""
-
-
-def test_an_unwritable_file_is_a_storage_error(tmp_path: Path) -> None:
-    # No file system takes such a name.
-    done = simulate("--sweep", "chain.mass_kg=0.0282", "--out", str(tmp_path / f"{'t' * 300}.csv"))
-    assert isinstance(done.exception, StorageError)
-    assert "cannot write" in str(done.exception)
-    assert list(tmp_path.iterdir()) == []

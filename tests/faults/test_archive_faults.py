@@ -132,13 +132,6 @@ def test_after_a_refusal_the_set_can_be_stored_again(monkeypatch, tmp_path, make
     assert_same_set(read_set(tmp_path / file), make_set())
 
 
-def test_a_disk_that_takes_a_few_bytes_a_time_gets_all_of_them(monkeypatch, tmp_path, make_file):
-    disk = put(monkeypatch, Disk(longest_write=4096))
-    path = tmp_path / make_file()
-    assert disk.calls.count("write") == -(-path.stat().st_size // 4096)
-    assert_same_set(read_set(path), make_set())
-
-
 def test_a_disk_that_refuses_the_clean_up_too_is_cleaned_at_the_next_start(
     monkeypatch, tmp_path, make_file, caplog
 ):

@@ -41,7 +41,6 @@ from hardware_drivers.errors import (
     BusyError,
     ConfigurationError,
     ConnectionLostError,
-    InstrumentError,
 )
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SIMULTANEOUS_18_BIT, SLOW, Description
@@ -182,22 +181,6 @@ def test_only_the_thread_that_opened_them_may_call_the_instruments(parameters):
     assert all("thread" in text for text in caught)
 
 
-def test_a_strike_at_another_position_than_the_armed_one_is_refused(doubles, parameters):
-    with open_daqmx(parameters) as rig:
-        rig.digitizer.arm(key())
-        with pytest.raises(ConfigurationError, match="disarm first"):
-            rig.striker.strike(key(position="D"))
-    assert coil_pulses_s(doubles.control.record()) == []
-
-
-@pytest.mark.parametrize("timeout_s", [0.0, -1.0, float("nan")])
-def test_a_read_needs_a_positive_timeout(parameters, timeout_s):
-    with open_daqmx(parameters) as rig:
-        rig.digitizer.arm(key())
-        with pytest.raises(ConfigurationError, match="timeout_s"):
-            rig.digitizer.read(timeout_s)
-
-
 # What the hardware cannot do is refused ---------------------------------------------------------------
 
 
@@ -210,12 +193,6 @@ def test_a_board_too_slow_is_refused_with_the_rate_it_can_do(parameters):
     slow = with_wiring(parameters, board_serial=f"{SLOW.serial_number:X}", striker_serial=f"{SERIAL:X}")
     with pytest.raises(ConfigurationError, match=r"10000000 Hz; PCI-6221 00C16021 does at most 250000 Hz"):
         open_daqmx(slow).__enter__()
-
-
-def test_a_coerced_rate_is_refused_with_the_given_rate(parameters):
-    # 100 MHz / 11: the next rate above that divides the time base.
-    with pytest.raises(ConfigurationError, match=r"9000000 Hz; PXIe-6386 01E16086 would use 9090909\.09"):
-        open_daqmx(replace(parameters, sample_rate_hz=9e6)).__enter__()
 
 
 def test_a_range_the_board_does_not_have_is_refused_with_those_it_has(parameters):
@@ -242,19 +219,6 @@ def test_the_driver_has_a_cap_of_its_own(doubles, parameters):
     with pytest.raises(ConfigurationError, match=r"0\.6 s.*at most 0\.5 s"):
         open_daqmx(parameters).__enter__()
     assert "CreateCOPulseChanTime" not in functions_of(doubles.control.record())
-
-
-@by_both
-def test_a_failed_opening_leaves_nothing_behind(doubles, parameters):
-    """NI's Task asks for its name after creating it; refused that, its own constructor loses it."""
-    doubles.control.inject("DAQmxGetTaskAttribute:Task.Name", "error", code=-50103)
-    with pytest.raises(BusyError):
-        open_daqmx(parameters).__enter__()
-    assert doubles.control.record()["tasks"] == []
-    doubles.control.inject("DAQmxCreateCOPulseChanTime", "error", code=-200170, nth=2)
-    with pytest.raises(ConfigurationError):
-        open_daqmx(parameters).__enter__()
-    assert doubles.control.record()["tasks"] == []
 
 
 # Missed strikes -----------------------------------------------------------------------------------
@@ -413,23 +377,6 @@ def test_a_board_unplugged_during_the_pulse_takes_the_coil_down(doubles, paramet
         assert_sound(parameters, take(rig, doubles, key(2)), key(2))
 
 
-def test_a_read_of_fewer_samples_than_asked_is_not_a_record(doubles, parameters):
-    with open_daqmx(parameters) as rig:
-        take(rig, doubles, key(0))
-        doubles.control.inject("DAQmxReadBinaryI16", "lie")
-        with pytest.raises(ConnectionLostError, match="6800 of 13600"):
-            take(rig, doubles, key(1))
-        assert_sound(parameters, take(rig, doubles, key(2)), key(2))
-
-
-def test_a_trigger_that_was_not_set_is_refused(doubles, parameters):
-    with open_daqmx(parameters) as rig:
-        doubles.control.inject("DAQmxCfgAnlgEdgeRefTrig", "lie")
-        with pytest.raises(ConfigurationError, match=r"trigger_level_v is 0\.25 V; .* triggers at 0 V"):
-            rig.digitizer.arm(key(0))
-        assert_sound(parameters, take(rig, doubles, key(1)), key(1))
-
-
 def test_a_pulse_at_another_terminal_is_refused_before_it_is_connected(doubles, parameters):
     with open_daqmx(parameters) as rig:
         doubles.control.inject("DAQmxGetChanAttribute:CO.Pulse.Term", "lie", times=0)
@@ -579,18 +526,6 @@ def remote(doubles, transport):
 
 
 @on_a_server
-def test_a_hung_call_ends_at_its_deadline(doubles, remote):
-    # Long enough for the calls that do not hang, on a busy machine too.
-    with open_daqmx(replace(remote, call_timeout_s=2.0)) as rig:
-        take(rig, doubles, key(0))
-        doubles.control.inject("DAQmxStartTask", "hang")
-        with pytest.raises(ConnectionLostError, match="DEADLINE_EXCEEDED"):
-            rig.digitizer.arm(key(1))
-        doubles.control.release_hangs()
-        assert_sound(remote, take(rig, doubles, key(2)), key(2))
-
-
-@on_a_server
 def test_a_coil_whose_stop_hangs_is_switched_off_by_the_next_call(doubles, remote, monkeypatch):
     from hardware_drivers.daqmx.remote import Deadlines
 
@@ -690,45 +625,6 @@ def test_a_killed_server_is_found_again_at_its_address():
         second = stack.enter_context(running_brain(DESCRIPTION))
         forwarder.target = second.grpc
         assert_sound(remote, take(rig, second, key(2)), key(2))
-
-
-def test_a_killed_driver_of_the_library_is_found_again(monkeypatch):
-    if reason := why_no("library"):
-        pytest.skip(reason)
-    with ExitStack() as stack:
-        first = stack.enter_context(running_brain(DESCRIPTION))
-        meet(first, monkeypatch)
-        parameters = parameters_of(DESCRIPTION, first)
-        rig = stack.enter_context(open_daqmx(parameters))
-        take(rig, first, key(0))
-        rig.digitizer.arm(key(1))
-        first.kill()
-        with pytest.raises(ConnectionLostError, match=r"-50405|-50401"):
-            rig.striker.strike(key(1))
-        with pytest.raises(ConnectionLostError, match="-50401"):
-            rig.digitizer.arm(key(1))
-        second = stack.enter_context(running_brain(DESCRIPTION))
-        meet(second, monkeypatch)
-        assert_sound(parameters, take(rig, second, key(2)), key(2))
-
-
-def test_a_driver_that_is_not_installed_is_reported_with_a_remedy():
-    """In a process of its own: this one has found the double already."""
-    receiver, sender = context().Pipe(duplex=False)
-    child = in_a_process(open_without_driver, sender)
-    kind, text = receiver.recv()
-    child.join()
-    assert kind == "ConfigurationError"
-    assert "install NI's driver" in text
-
-
-def open_without_driver(sender):
-    """Open the boards without any library, in a child."""
-    parameters = parameters_of(DESCRIPTION, None)
-    try:
-        open_daqmx(parameters).__enter__()
-    except InstrumentError as error:
-        sender.send((type(error).__name__, str(error)))
 
 
 def test_a_description_without_its_boards_is_refused():

@@ -212,30 +212,3 @@ def test_a_rehearsal_records_no_strike(doubles, parameters):
     with pytest.raises(ConfigurationError, match="dry_run is true"):
         record_pulse(replace(parameters, dry_run=True), "C", READ_TIMEOUT_S)
     assert doubles.control.record()["calls"] == []
-
-
-@by_library
-@pytest.mark.filterwarnings("ignore::nidaqmx.errors.DaqResourceWarning")
-@pytest.mark.parametrize("code", [-88710, pytest.param(-50103, marks=pytest.mark.slow)])
-def test_a_fault_at_any_holdoff_call_leaves_the_coil_off_and_no_task(doubles, parameters, code):
-    """Each distinct call of a fault-free record in turn; what the driver only tells may be missing.
-
-    What is refused to be created or cleared is the fault matrix's.
-    """
-    mine = only(parameters, "C", fall_margin_s=0.0)
-    record_pulse(mine, "C", READ_TIMEOUT_S)
-    calls = doubles.control.record()["calls"]
-    names = dict.fromkeys(":".join(filter(None, (call["function"], call["attribute"]))) for call in calls)
-    raised = 0
-    for name in names.keys() - {"DAQmxCreateTask", "DAQmxClearTask"}:
-        doubles.control.inject(name, "error", code=code)
-        try:
-            record_pulse(mine, "C", READ_TIMEOUT_S)
-        except InstrumentError:
-            raised += 1
-        doubles.control.clear_faults()
-        record = doubles.control.record()
-        assert record["reservations"] == {}, name
-        assert record["tasks"] == [], name
-        assert not any(record["levels"].values()), name
-    assert 20 < raised <= len(names)

@@ -8,7 +8,6 @@ not: whatever comes, the same must hold. Some are killed for certain between wri
 from __future__ import annotations
 
 import hashlib
-import json
 import os
 import random
 import subprocess
@@ -19,8 +18,6 @@ import numpy as np
 import pytest
 
 from simulator.numerics.array_cache import STALE_S, cached_arrays, read_arrays
-from simulator.parameters.plate import CorrosionParameters, PlateParameters
-from simulator.plate.mindlin.cache import reduced_plate, reduction_key
 
 PROCESSES = 3
 KILLS, KILLS_IN_WRITING = 6, 1
@@ -53,21 +50,6 @@ Path.replace = stop
 """
     + KEEPING
 )
-
-REDUCING = """
-import hashlib, json, sys
-from pathlib import Path
-from simulator.parameters.plate import CorrosionParameters, PlateParameters
-from simulator.plate.mindlin.cache import reduced_plate
-
-print("ready", flush=True)
-sys.stdin.readline()
-for thickness_m in json.loads(sys.argv[2]):
-    plate = PlateParameters(elements_per_edge=12, contact_element_m=2e-3, thickness_m=thickness_m)
-    found = reduced_plate(plate, CorrosionParameters(), Path(sys.argv[1]))
-    content = found.stiffness.tobytes() + found.mass.tobytes() + found.load.tobytes()
-    print(thickness_m, hashlib.sha256(content).hexdigest(), flush=True)
-"""
 
 
 def start(program, *arguments):
@@ -145,43 +127,3 @@ def test_killed_writers_leave_whole_files_and_right_answers(tmp_path):
     age(tmp_path)
     cached_arrays(tmp_path, "key0", lambda: pytest.fail("key0 was not kept"))
     assert sorted(tmp_path.iterdir()) == kept
-
-
-@pytest.mark.slow
-def test_reductions_equal_the_uncached_ones_after_any_kill(tmp_path):
-    chance = random.Random(4)
-    thicknesses_m = [5e-3 + 1e-4 * k for k in range(5)]
-    plates = [
-        PlateParameters(elements_per_edge=12, contact_element_m=2e-3, thickness_m=h) for h in thicknesses_m
-    ]
-    patch = CorrosionParameters()
-    expected = {}
-    for plate in plates:
-        made = reduced_plate(plate, patch, None)
-        content = made.stiffness.tobytes() + made.mass.tobytes() + made.load.tobytes()
-        expected[plate.thickness_m] = hashlib.sha256(content).hexdigest()
-
-    workers = [start(REDUCING, tmp_path, json.dumps(thicknesses_m)) for _ in range(PROCESSES)]
-    for process in workers:
-        assert process.stdout.readline() == b"ready\n" or process.stdout.readline() == b"ready\r\n"
-    for process in workers:  # all at once, on an empty folder
-        process.stdin.write(b"go\n")
-        process.stdin.flush()
-    answers = []
-    for process in workers[:2]:
-        answers += [process.stdout.readline().decode() for _ in range(chance.randint(1, 3))]
-        answers += end(process, killed=True)
-    for process in workers[2:]:
-        survived = end(process, killed=False)
-        assert len(survived) == len(plates)
-        answers += survived
-    for thickness_m, digest in (answer.split() for answer in answers):
-        assert digest == expected[float(thickness_m)]
-
-    age(tmp_path)
-    for plate in plates:
-        again = reduced_plate(plate, patch, tmp_path)
-        content = again.stiffness.tobytes() + again.mass.tobytes() + again.load.tobytes()
-        assert hashlib.sha256(content).hexdigest() == expected[plate.thickness_m]
-    names = {f"{reduction_key(plate, patch)}.arrays" for plate in plates}
-    assert {path.name for path in tmp_path.iterdir()} == names

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 import support.niscope_rig as rig
-from support.daqmx_models import in_a_process, running_brain
+from support.daqmx_models import in_a_process
 from support.waiting import happened, until
 
 from hardware_drivers.errors import (
@@ -27,7 +27,6 @@ from hardware_drivers.errors import (
 from hardware_drivers.niscope.pulse_echo import open_niscope
 from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE, CLASS_OF_KERNEL_CODE
 from simulator.doubles.device_model import Brain
-from simulator.doubles.transports.library import client_environment
 
 pytestmark = rig.needs_niscope
 
@@ -243,17 +242,6 @@ def dying_brain(described):
         yield brain
 
 
-def test_a_driver_finds_the_double_that_was_started_again():
-    with rig.met_brain(DESCRIBED), open_niscope(rig.parameters()) as unit:
-        with dying_brain(DESCRIBED) as second:
-            pass
-        del second
-        with rig.met_brain(DESCRIBED) as third:
-            with pytest.raises(ConnectionLostError):
-                unit.acquire(rig.key(), rig.TIMEOUT_S)
-            assert is_right(take(unit, third), DESCRIBED)
-
-
 def live_until_it_hangs(environment):
     """Open the board, take a record and calibrate in a child; one call never returns."""
     os.environ.update(environment)
@@ -337,19 +325,3 @@ def test_after_a_missed_trigger_the_board_is_idle_and_set_up(brain):
         assert "niScope_Abort" in rig.functions_of(brain.record())
         assert is_right(take(unit, brain), DESCRIBED)
         assert "niScope_Commit" not in rig.functions_of(brain.record())
-
-
-def test_a_killed_process_is_a_lost_connection_and_its_successor_is_found():
-    """The double as a process of its own, as the demonstration starts it."""
-    folders = rig.preload()
-    with pytest.MonkeyPatch.context() as patch, running_brain(DESCRIBED) as first:
-        for name, text in client_environment(first.wire, *folders).items():
-            patch.setenv(name, text)
-        with open_niscope(rig.parameters()) as unit:
-            first.control.announce(rig.key(), rig.HOUR_H)
-            assert is_right(unit.acquire(rig.key(), rig.TIMEOUT_S), DESCRIBED)
-            first.kill()
-            with pytest.raises(ConnectionLostError):
-                unit.acquire(rig.key(), rig.TIMEOUT_S)
-            with rig.met_brain(DESCRIBED) as second:
-                assert is_right(take(unit, second), DESCRIBED)

@@ -20,7 +20,7 @@ from hardware_drivers.serial_port.line import ATTEMPTS_PER_OPENING, SHOWN_BYTES
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 from simulator.doubles.serial.link import GARBAGE, SerialLink
-from simulator.doubles.serial.supply import SUPPLY_IDENTITY, Cell
+from simulator.doubles.serial.supply import SUPPLY_IDENTITY
 
 termios = pytest.importorskip("termios", reason="serial faults are tested on pseudo terminals")
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)
@@ -116,24 +116,20 @@ def test_attempts_back_off_on_the_callers_clock(rig):
     assert not rig.supply.read(TIMEOUT_S).output_on
 
 
-def test_a_switch_off_command_does_not_wait_for_the_next_attempt(rig):
+@pytest.mark.parametrize(
+    ("command", "switched"),
+    [(ScpiPowerSupply.make_safe, []), (lambda supply: supply.energise(10.0, 1.0), ORDERED)],
+    ids=["off", "on"],
+)
+def test_a_command_does_not_wait_for_the_next_attempt(rig, command, switched):
     rig.instruments.supply_link.unplug()
     with pytest.raises(ConnectionLostError):
         rig.supply.read(TIMEOUT_S)
     rig.instruments.supply_link.plug()
     with pytest.raises(ConnectionLostError, match="next attempt in"):
         rig.supply.read(TIMEOUT_S)
-    rig.supply.make_safe()
-    assert not rig.supply.read(TIMEOUT_S).output_on
-
-
-def test_a_command_to_switch_on_does_not_wait_either(rig):
-    rig.instruments.supply_link.unplug()
-    with pytest.raises(ConnectionLostError):
-        rig.supply.read(TIMEOUT_S)
-    rig.instruments.supply_link.plug()
-    rig.supply.energise(10.0, 1.0)
-    assert rig.switched() == ORDERED
+    command(rig.supply)
+    assert (rig.switched(), rig.supply.read(TIMEOUT_S).output_on) == (switched, bool(switched))
 
 
 def test_a_supply_that_cannot_be_reached_cannot_be_made_safe(energised):
@@ -341,13 +337,6 @@ def test_the_output_is_off_while_a_command_is_set(rig):
     assert rig.switched() == [(True, "command"), (False, "command"), (True, "command")]
 
 
-def test_a_supply_that_does_not_keep_what_was_set_stays_off(rig):
-    change_supply(rig, obeys_set_commands=False)
-    with pytest.raises(ConfigurationError, match=r"reads back 0\.1 A.*the output is off"):
-        rig.supply.energise(10.0, 1.0)
-    assert rig.switched() == []
-
-
 def test_a_supply_that_refuses_what_is_set_stays_off(tmp_path):
     with SerialRig(tmp_path, voltage_cap_v=40.0) as rig:
         with pytest.raises(ConfigurationError, match="Data out of range"):
@@ -427,28 +416,6 @@ def test_a_supply_that_gives_more_than_asked_is_switched_off(rig):
     assert not rig.instruments.supply.on
 
 
-def test_a_supply_in_current_limit_is_not_a_fault(rig):
-    change_supply(rig, cell=Cell(resistance_ohm=4.0))
-    rig.supply.energise(10.0, 1.0)
-    reading = rig.supply.read(TIMEOUT_S)
-    assert reading.current_a == 1.0
-    # 1.5 V + 1 A * 4 ohm, and 0.1 % for the hours the cell may have drifted on a slow machine.
-    assert reading.voltage_v == pytest.approx(5.5, rel=1e-3)
-
-
-@pytest.mark.parametrize(("protection", "asked"), [("VOLT", "VOLT:PROT:TRIP?"), ("CURR", "CURR:PROT:TRIP?")])
-def test_a_tripped_protection_is_reported_and_not_overruled(energised, protection, asked):
-    rig = energised
-    rig.instruments.supply_link.do(lambda: rig.instruments.supply.trip(protection))
-    assert not rig.supply.read(TIMEOUT_S).output_on
-    assert rig.supply.tripped_protections == (asked,)
-    assert rig.supply.read_back(TIMEOUT_S)["tripped"] == asked
-    before = len(rig.heard())
-    with pytest.raises(ConfigurationError, match=f"tripped.*{protection}.*clear the protection"):
-        rig.supply.energise(10.0, 1.0)
-    assert all(command.endswith("?") for command in rig.heard()[before:]), "it was only asked"
-
-
 def test_a_supply_that_trips_when_switched_on_is_reported(rig):
     supply = rig.instruments.supply
     answer = supply.answer
@@ -462,14 +429,6 @@ def test_a_supply_that_trips_when_switched_on_is_reported(rig):
     rig.instruments.supply_link.answer = trips
     with pytest.raises(ConfigurationError, match=r"switched itself off again \(CURR:PROT:TRIP\?\)"):
         rig.supply.energise(10.0, 1.0)
-
-
-def test_a_supply_that_does_not_switch_off_is_not_safe(energised):
-    rig = energised
-    answer = rig.instruments.supply.answer
-    rig.instruments.supply_link.answer = lambda command: None if command == "OUTP OFF" else answer(command)
-    with pytest.raises(ConnectionLostError, match=r"unknown.*says it is on"):
-        rig.supply.make_safe()
 
 
 def test_setup_commands_follow_every_check_of_the_name(tmp_path):
@@ -510,15 +469,6 @@ def test_a_humidity_in_the_wrong_unit_is_refused(rig):
         rig.climate.read(TIMEOUT_S)
 
 
-def test_an_unplugged_probe_is_lost_and_found(rig):
-    assert rig.climate.identity()["model"] == "CLIMATE PROBE DOUBLE"
-    rig.instruments.climate_link.unplug()
-    with pytest.raises(ConnectionLostError):
-        rig.climate.read(TIMEOUT_S)
-    rig.instruments.climate_link.plug()
-    assert rig.climate.read(TIMEOUT_S).temperature_c == pytest.approx(22.0, abs=0.1)  # a day's slow swing
-
-
 # Ports ---------------------------------------------------------------------------------------------
 
 
@@ -555,21 +505,19 @@ def test_a_file_without_a_serial_port_is_refused(rig, tmp_path):
             supply_on(path, rig).identity()
 
 
-def test_a_missing_permission_for_a_port_is_reported_with_the_group(rig, monkeypatch):
-    def forbidden(**_):
-        raise serial.SerialException(13, "could not open port")
+@pytest.mark.parametrize(
+    ("error", "message"),
+    [
+        (serial.SerialException(13, "could not open port"), "dialout"),
+        (ValueError("Invalid baud rate: 1"), "Invalid baud rate"),
+    ],
+)
+def test_a_port_that_cannot_be_opened_is_reported_with_its_reason(rig, monkeypatch, error, message):
+    def fails(**_):
+        raise error
 
-    monkeypatch.setattr(port_module.serial, "Serial", forbidden)
-    with pytest.raises(ConfigurationError, match="dialout"):
-        rig.supply.identity()
-
-
-def test_parameters_that_a_port_cannot_do_are_refused(rig, monkeypatch):
-    def cannot(**_):
-        raise ValueError("Invalid baud rate: 1")
-
-    monkeypatch.setattr(port_module.serial, "Serial", cannot)
-    with pytest.raises(ConfigurationError, match="Invalid baud rate"):
+    monkeypatch.setattr(port_module.serial, "Serial", fails)
+    with pytest.raises(ConfigurationError, match=message):
         rig.supply.identity()
 
 

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import textwrap
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -14,7 +13,6 @@ from typing import Any
 import pytest
 
 from daq_service.processes.child import notify_supervisor
-from daq_service.processes.heartbeat import FILE_NAME
 from daq_service.processes.supervisor import ChildPlan, Supervisor
 
 PRELUDE = """
@@ -65,54 +63,6 @@ def supervise(
     return code, messages
 
 
-def test_a_restart_repairs_a_crash_and_records_its_cause(tmp_path: Path) -> None:
-    script = """
-tell("started", cause=sys.argv[2])
-if starts(sys.argv[1]) == 1:
-    sys.exit(1)
-"""
-    code, messages = supervise(tmp_path, script)
-    assert code == 0
-    assert [message["cause"] for message in messages] == ["", "ended with exit code 1"]
-
-
-@pytest.mark.skipif(os.name == "nt", reason="Windows has no SIGKILL")
-def test_a_killed_process_is_reported_with_its_signal(tmp_path: Path) -> None:
-    script = """
-tell("started", cause=sys.argv[2])
-if starts(sys.argv[1]) == 1:
-    os.kill(os.getpid(), 9)
-"""
-    _, messages = supervise(tmp_path, script)
-    assert messages[1]["cause"] == "was killed by signal 9"
-
-
-BY_FILE = f"""
-with open(os.path.join(os.path.dirname(sys.argv[1]), {FILE_NAME!r}), "w") as file:
-    json.dump(beat, file)
-"""
-BY_PIPE = """
-tell("beat", **beat)
-"""
-
-
-@pytest.mark.parametrize("way", [BY_FILE, BY_PIPE], ids=["by its file", "by its pipe"])
-def test_a_hung_recorder_is_killed_at_its_deadline_and_started_again(tmp_path: Path, way: str) -> None:
-    script = f"""
-tell("started", cause=sys.argv[2])
-if starts(sys.argv[1]) == 1:
-    beat = {{"process": os.getpid(), "mono_ns": time.monotonic_ns()}}
-    beat |= {{"deadline_s": 0.2, "doing": "reading the digitizer"}}
-    {textwrap.indent(way, "    ").strip()}
-    wait_for_pipe()
-"""
-    code, messages = supervise(tmp_path, script)
-    assert code == 0
-    assert [message["event"] for message in messages] == ["started", "started"]
-    assert "hung while reading the digitizer" in messages[1]["cause"]
-    assert "past its deadline of 0.2 s" in messages[1]["cause"]
-
-
 def test_a_child_leaves_when_its_pipe_closes(tmp_path: Path) -> None:
     stop = threading.Event()
     script = """
@@ -139,35 +89,6 @@ while True:
     if os.name != "nt":
         with pytest.raises(ProcessLookupError):
             os.kill(messages[0]["process"], signal.SIGTERM)
-
-
-def test_a_restarted_web_service_answers_at_the_same_port(tmp_path: Path) -> None:
-    stop = threading.Event()
-    script = """
-tell("arguments", arguments=sys.argv[3:])
-tell("listening", url="http://127.0.0.1:4711/", port=4711)
-if starts(sys.argv[1]) == 1:
-    sys.exit(1)
-tell("again")
-wait_for_pipe()
-"""
-
-    def on_message(name: str, message: Any) -> None:
-        if message["event"] == "again":
-            stop.set()
-
-    _, messages = supervise(tmp_path, script, watched=False, stop=stop, on_message=on_message, stay=True)
-    arguments = [message["arguments"] for message in messages if message["event"] == "arguments"]
-    assert arguments == [[], ["--port", "4711"]]
-
-
-def test_a_line_that_is_no_message_is_logged_and_skipped(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    code, messages = supervise(tmp_path, 'print("hello"); tell("fine")')
-    assert code == 0
-    assert [message["event"] for message in messages] == ["fine"]
-    assert "no message" in caplog.text
 
 
 def test_messages_are_one_json_line(capfd: pytest.CaptureFixture[str]) -> None:

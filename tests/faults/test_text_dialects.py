@@ -7,7 +7,6 @@ import pytest
 from support.serial_rig import NO_TERMINALS, READ_TIMEOUT_S, REPLY_TIMEOUT_S, SerialRig
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
-from hardware_drivers.serial_port.line import ATTEMPTS_PER_OPENING
 
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS)
 
@@ -50,14 +49,6 @@ def energised(rig):
     assert [cause for on, cause in rig.switched() if on] == ["command"]
 
 
-def read_again(rig):
-    """Read after a loss: a resource that was closed silently is reopened after some attempts."""
-    for _ in range(ATTEMPTS_PER_OPENING + 1):
-        if rig.supply_is_read():
-            return rig.supply.read(READ_TIMEOUT_S)
-    raise AssertionError("the supply did not come back")
-
-
 def test_a_command_is_set_read_back_and_measured(energised):
     rig = energised
     reading = rig.supply.read(READ_TIMEOUT_S)
@@ -89,20 +80,6 @@ def test_a_trip_that_the_supply_reports_is_reported_and_never_overruled(energise
         ):
             rig.supply.energise(10.0, 1.0)
     assert not rig.instruments.supply.on
-
-
-def test_an_unplugged_supply_is_lost_and_comes_back_as_it_was(energised):
-    rig = energised
-    rig.instruments.supply_link.unplug()
-    rig.deadlines.per_look_s = READ_TIMEOUT_S / 10.0  # pyvisa-py takes hanging up for silence
-    with pytest.raises(ConnectionLostError):
-        rig.supply.read(READ_TIMEOUT_S)
-    with pytest.raises(ConnectionLostError, match="what its output does is unknown"):
-        rig.supply.make_safe()
-    rig.deadlines.per_look_s = 0.0
-    rig.instruments.supply_link.plug()
-    assert read_again(rig).output_on
-    assert rig.switched() == ORDERED
 
 
 @pytest.mark.parametrize("garbled", [2, 6, *(pytest.param(n, marks=pytest.mark.slow) for n in range(1, 16))])
@@ -144,14 +121,6 @@ def test_a_right_unit_is_understood(energised, reply):
     question = MEASURED[rig.dialect]
     link.answer = lambda command: reply if command == question else answer(command)
     assert rig.supply.read(READ_TIMEOUT_S).voltage_v == pytest.approx(10.0)  # the last bit of a prefix
-
-
-def test_another_instrument_receives_only_the_identity_query(rig):
-    rig.instruments.supply_link.do(lambda: setattr(rig.instruments.supply, "identity", "OTHER,THING,7,2.0"))
-    with pytest.raises(ConfigurationError, match="OTHER,THING"):
-        rig.supply.energise(10.0, 1.0)
-    assert set(rig.heard()) == {"*IDN?"}
-    assert rig.switched() == []
 
 
 def test_the_instrument_reports_its_identity(rig):

@@ -147,13 +147,6 @@ class Caller:
         self("TaskControl", task, action=action)
 
 
-@pytest.fixture
-def doubles_description(request: pytest.FixtureRequest) -> Description | None:
-    """Return the module's ``DESCRIPTION``, None for the default boards."""
-    found: Description | None = getattr(request.module, "DESCRIPTION", None)
-    return found
-
-
 @pytest.fixture(scope="session")
 def double_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the folder of libnidaqmx; skip the test with the reason if it cannot be built."""

@@ -1,6 +1,5 @@
 """Shots side by side: each has, to the last bit, what it has alone."""
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -94,14 +93,6 @@ def test_shots_that_need_more_are_treated_by_themselves(model):
     assert len({force.step_s for force in forces}) > 1
     for found, impact in zip(forces, impacts, strict=True):
         same(found, alone(coarse, impact))
-
-
-def test_threads_may_compute_batches(model):
-    once = model.shots(IMPACTS)
-    with ThreadPoolExecutor(3) as pool:
-        for again in pool.map(lambda _: model.shots(IMPACTS), range(6)):
-            for found, expected in zip(again, once, strict=True):
-                same(found, expected)
 
 
 def test_no_strikes_give_no_shots(model):

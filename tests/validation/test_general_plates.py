@@ -130,14 +130,3 @@ def test_an_eccentric_patch_and_a_smooth_one_change_less(reduction_folder):
     assert far == pytest.approx(pristine, abs=0.05)
     bowl, cosine = tof_us(profile="bowl"), tof_us(profile="cosine")
     assert pristine < cosine < bowl < below  # the less is lost, the earlier the wave is back
-
-
-def test_warm_plate_is_a_plate_of_the_lower_modulus(reduction_folder):
-    warm = replace(BASE, temperature_c=120.0)
-    softer = replace(BASE, youngs_modulus_pa=BASE.youngs_modulus_pa * (1.0 - 100.0 * 2.7e-4))
-    one, other = (
-        ShotModel(ChainParameters(), plate, PATCH, cache_folder=reduction_folder).shot()
-        for plate in (warm, softer)
-    )
-    # The same arithmetic on moduli that differ by rounding.
-    np.testing.assert_allclose(one.force_n, other.force_n, rtol=0.0, atol=1e-7)

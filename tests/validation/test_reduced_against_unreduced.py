@@ -69,17 +69,6 @@ def test_reduced_shot_is_that_of_all_unknowns(benchmark, reduction_folder, senso
     assert difference(shot.force_n[::every], expected) <= ALLOWED
 
 
-def test_unreduced_quarter_is_the_unreduced_whole(benchmark):
-    patch = CorrosionParameters(size_m=50.8e-3)
-    chain = build_chain(ChainParameters(), COARSE)
-    quarter, whole = (
-        benchmark.unreduced_force(chain, build_plate(COARSE, patch, whole=whole), 0.6, 5e-7)
-        for whole in (False, True)
-    )
-    # The same equations: rounding, and iterations that end below 1e-19 m.
-    assert difference(quarter, whole) <= 1e-8
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("size_m", [25.4e-3, 50.8e-3])
 @pytest.mark.parametrize("depth", [0.0, 0.4, 0.95])

@@ -72,19 +72,6 @@ def test_energy_balances_at_every_depth(paper, depth):
     assert paper.shot(depth_fraction=depth).energy_residual <= 0.1 * ENERGY_TOLERANCE
 
 
-@pytest.mark.parametrize(
-    "depth", [0.45, 0.85, *(pytest.param(d, marks=pytest.mark.slow) for d in (0.0, 0.7))]
-)
-def test_merged_basis_equals_a_rich_basis_of_that_depth(paper, depth):
-    plate = build_plate(PlateParameters(), PATCH)
-    reduced = reduce_plate(plate, basis=((depth, 120),))
-    rich = ShotModel(ChainParameters(), PlateParameters(), PATCH, prepared_plate=reduced, duration_s=1.2e-3)
-    expected = rich.shot(depth_fraction=depth).force_n
-    found = paper.shot(depth_fraction=depth).force_n[: len(expected)]
-    # A tenth of the allowance for the whole reduction, 1e-4.
-    assert np.linalg.norm(found - expected) <= 1e-5 * np.linalg.norm(expected)
-
-
 def test_mesh_refined_twice_leaves_the_features(paper):
     """Same element at the contact (it defines the model), half the size everywhere else."""
     plate, depths = PlateParameters(elements_per_edge=192), (0.0, 0.6)
@@ -95,18 +82,6 @@ def test_mesh_refined_twice_leaves_the_features(paper):
         # Measured: below 0.1 us and 2e-3; a locking element would be off by whole microseconds.
         assert coarse_found.tof_us == pytest.approx(fine_found.tof_us, abs=0.2)
         assert coarse_found.amplitude_ratio == pytest.approx(fine_found.amplitude_ratio, rel=4e-3)
-
-
-def test_quarter_model_gives_the_full_models_shot(reduction_folder):
-    parameters = PlateParameters(elements_per_edge=24, contact_element_m=2e-3)
-    quarter = ShotModel(ChainParameters(), parameters, PATCH, cache_folder=reduction_folder)
-    full = ShotModel(ChainParameters(), parameters, PATCH, cache_folder=reduction_folder)
-    full._modal_plate = reduce_plate(build_plate(parameters, PATCH, whole=True))
-    for depth in (0.0, 0.7):
-        expected = full.shot(depth_fraction=depth).force_n
-        found = quarter.shot(depth_fraction=depth).force_n
-        # Same equations, bases that differ by rounding and by the merge's tolerance.
-        assert np.linalg.norm(found - expected) <= 1e-5 * np.linalg.norm(expected)
 
 
 def test_tilt_scatters_the_amplitude_ratio_as_documented(paper):

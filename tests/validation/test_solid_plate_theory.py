@@ -8,7 +8,6 @@ from scipy import linalg
 
 from simulator.materials import bending_stiffness_n_m, shear_modulus_pa
 from simulator.numerics.tensor_basis import Axis
-from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters, SolidMesh
 from simulator.plate.solid.contact import (
     exact_contact_compliance_m_per_n,
@@ -17,8 +16,7 @@ from simulator.plate.solid.contact import (
     surface_flexibility_m_per_pa,
 )
 from simulator.plate.solid.plate import SolidPlate, assembled_solid, build_solid_plate
-from simulator.plate.solid.reduction import krylov_fields, project, shifted_solver, solid_modes
-from simulator.shot.model import ShotModel
+from simulator.plate.solid.reduction import krylov_fields, project, shifted_solver
 
 THICK = PlateParameters(
     width_m=0.04,
@@ -30,7 +28,6 @@ THICK = PlateParameters(
 """So thick that shear, rotary inertia and compression through the thickness count."""
 
 PAPER = PlateParameters()
-COARSE = SolidMesh(degree=3, edge_element=0.5, contact_element=1.0, largest_element=12.0)
 
 
 def evenly_meshed(parameters, elements, degree) -> SolidPlate:
@@ -184,31 +181,3 @@ def test_first_frequency_of_the_papers_plate():
     assert exact == pytest.approx(82.229, abs=1e-3)
     plate = build_solid_plate(PAPER, CorrosionParameters())
     assert driven_frequency_hz(plate, exact) == pytest.approx(exact, rel=1e-6)
-
-
-class OneDepth:
-    def __init__(self, modes):
-        self.modes = lambda depth_fraction: modes
-
-
-@pytest.mark.parametrize(
-    ("mesh", "depth"),
-    [
-        (COARSE, 0.8),
-        pytest.param(SolidMesh(), 0.0, marks=pytest.mark.slow),
-        pytest.param(SolidMesh(), 0.8, marks=pytest.mark.slow),
-    ],
-    ids=["coarse-0.8", "usual-0.0", "usual-0.8"],
-)
-def test_usual_number_of_vectors_keeps_the_waveform(mesh, depth):
-    patch = CorrosionParameters(depth_fraction=depth)
-    waves = []
-    for vectors in (60, 90):
-        plate = replace(PAPER, model="solid", solid=mesh)
-        modes = solid_modes(plate, patch, vectors)
-        shot = ShotModel(
-            ChainParameters(), plate, patch, duration_s=1.4e-3, prepared_plate=OneDepth(modes)
-        ).shot()
-        waves.append(shot.force_n - shot.preload_n)
-    # A tenth of the allowance of the whole waveform.
-    assert np.linalg.norm(waves[0] - waves[1]) < 1e-5 * np.linalg.norm(waves[1])

@@ -83,12 +83,6 @@ def test_the_incident_wave_does_not_depend_on_the_wall(model):
     assert np.ptp([shot.isw_fwhm_s for shot in shots]) < 1e-5 * shots[0].isw_fwhm_s
 
 
-@pytest.mark.parametrize("noise_v", [0.0, 0.025])
-def test_hole_has_no_reflected_wave(model, noise_v):
-    shots = [extract_features(record_of(model.shot_at_hole(), noise_v, seed)) for seed in range(20)]
-    assert {shot.flags for shot in shots} == {("no_psw",)}
-
-
 def test_secondary_wave_is_the_forces_next_maximum(model):
     force = model.shot(depth_fraction=0.0)
     shot = extract_features(record_of(force))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import sys
 import time
@@ -16,6 +15,7 @@ import click
 
 from daq_service.errors import EXIT_OK, StorageError, UsageError
 from daq_service.processes.data_folder import is_owned, own_data_folder
+from daq_service.processes.printing import print_result
 
 if TYPE_CHECKING:
     from daq_service.cli.maintenance.export_table import ExportedTable
@@ -32,16 +32,16 @@ def run_verify(*, data_dir: Path, as_json: bool) -> int:
 
     _give_way(data_dir)
     report = verify_folder(data_dir, _progress("files"))
-    if as_json:
-        damage = [asdict(finding) for finding in report.damage]
-        click.echo(json.dumps({"ok": not damage, "checked": report.checked, "damage": damage}))
-    else:
-        _print_damage(report.damage)
-        for note in report.notes:
-            click.echo(f"note      {note}")
-        counts = {name: number for name, number in report.checked.items() if name != "bytes"}
-        click.echo(f"checked   {_listed(counts)}, {report.checked['bytes'] / 1e6:.1f} MB")
-        click.echo("damage    none" if not report.damage else f"damage    {len(report.damage)}, named above")
+    damage = [asdict(finding) for finding in report.damage]
+    counts = {name: number for name, number in report.checked.items() if name != "bytes"}
+    lines = [
+        *_damage_lines(report.damage),
+        *(f"note      {note}" for note in report.notes),
+        f"checked   {_listed(counts)}, {report.checked['bytes'] / 1e6:.1f} MB",
+        f"damage    {len(damage)}, named above" if damage else "damage    none",
+    ]
+    result = {"ok": not damage, "checked": report.checked, "damage": damage}
+    print_result(result, lines, as_json=as_json)
     return StorageError.exit_code if report.damage else EXIT_OK
 
 
@@ -60,19 +60,12 @@ def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: boo
                 except OSError as error:
                     raise StorageError(f"{step.file}: {error}; mend the disk and start again") from error
             report = verify_folder(data_dir, _progress("files"))
-    if as_json:
-        summary = {"applied": apply, "steps": [asdict(step) for step in steps]}
-        click.echo(
-            json.dumps(
-                {"ok": not report.damage, **summary, "damage": [asdict(item) for item in report.damage]}
-            )
-        )
-    else:
-        for step in steps:
-            click.echo(f"{step.does:<13} {step.file}: {step.why}")
-        if any(step.does != "nothing" for step in steps) and not apply:
-            click.echo("nothing is done yet: --apply does it")
-        click.echo(f"damage left   {len(report.damage)}")
+    damage = [asdict(item) for item in report.damage]
+    lines = [f"{step.does:<13} {step.file}: {step.why}" for step in steps]
+    if any(step.does != "nothing" for step in steps) and not apply:
+        lines.append("nothing is done yet: --apply does it")
+    result = {"ok": not damage, "applied": apply, "steps": list(map(asdict, steps)), "damage": damage}
+    print_result(result, [*lines, f"damage left   {len(damage)}"], as_json=as_json)
     return StorageError.exit_code if report.damage else EXIT_OK
 
 
@@ -82,15 +75,12 @@ def run_backup(*, destination: Path, data_dir: Path, as_json: bool) -> int:
 
     _give_way(data_dir)
     copied = back_up(data_dir, destination, _progress("files"))
-    if as_json:
-        facts = {"ok": not copied.damage, "destination": str(destination), **asdict(copied)}
-        click.echo(json.dumps(facts))
-    else:
-        _print_damage(copied.damage)
-        click.echo(
-            f"{destination}: {copied.files} files copied ({copied.n_bytes / 1e6:.1f} MB), "
-            f"{copied.present} sets were there already"
-        )
+    line = (
+        f"{destination}: {copied.files} files copied ({copied.n_bytes / 1e6:.1f} MB), "
+        f"{copied.present} sets were there already"
+    )
+    result = {"ok": not copied.damage, "destination": str(destination), **asdict(copied)}
+    print_result(result, [*_damage_lines(copied.damage), line], as_json=as_json)
     return StorageError.exit_code if copied.damage else EXIT_OK
 
 
@@ -133,14 +123,11 @@ def run_export(
 
     assert hdf5 is not None, "one of the two is given"
     file = export_hdf5(data_dir, hdf5, overwrite=overwrite, progress=_progress("sets"))
-    if as_json:
-        click.echo(json.dumps({"ok": not file.left_out, **asdict(file)}))
-    else:
-        for sentence in file.left_out.values():
-            click.echo(f"left out  {sentence}")
-        if file.waiting:
-            click.echo(f"waiting   {file.waiting} sets have no file yet; export again later")
-        click.echo(f"{file.file}: {file.sets} sets, {file.shots} records ({file.n_bytes / 1e6:.1f} MB)")
+    lines = [f"left out  {sentence}" for sentence in file.left_out.values()]
+    if file.waiting:
+        lines.append(f"waiting   {file.waiting} sets have no file yet; export again later")
+    lines.append(f"{file.file}: {file.sets} sets, {file.shots} records ({file.n_bytes / 1e6:.1f} MB)")
+    print_result({"ok": not file.left_out, **asdict(file)}, lines, as_json=as_json)
     return StorageError.exit_code if file.left_out else EXIT_OK
 
 
@@ -154,11 +141,8 @@ def _word(hdf5: Path | None, table: str | None) -> str:
 
 
 def _print_files(files: Sequence[ExportedTable], *, as_json: bool) -> int:
-    if as_json:
-        click.echo(json.dumps({"ok": True, "files": [asdict(item) for item in files]}))
-    else:
-        for item in files:
-            click.echo(f"{item.file}: table {item.table} ({item.n_bytes / 1e6:.1f} MB)")
+    lines = [f"{item.file}: table {item.table} ({item.n_bytes / 1e6:.1f} MB)" for item in files]
+    print_result({"ok": True, "files": list(map(asdict, files))}, lines, as_json=as_json)
     return EXIT_OK
 
 
@@ -170,10 +154,8 @@ def run_acceptance_report(*, data_dir: Path, **options: Any) -> int:
     return write_acceptance_report(data_dir=data_dir, progress=_progress("files"), **options)
 
 
-def _print_damage(damage: list[Finding]) -> None:
-    """Print findings."""
-    for finding in damage:
-        click.echo(f"{finding.kind:<18} {finding.file}: {finding.told}")
+def _damage_lines(damage: Sequence[Finding]) -> list[str]:
+    return [f"{finding.kind:<18} {finding.file}: {finding.description}" for finding in damage]
 
 
 def _listed(counts: dict[str, int]) -> str:

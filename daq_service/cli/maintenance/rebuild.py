@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import logging
 from dataclasses import asdict
 from pathlib import Path
 
-import click
-
 from daq_service.cli.terminal import print_progress_of_sets
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.printing import print_result
 
 
 def print_rebuilt(*, data_dir: Path, as_json: bool) -> None:
@@ -24,12 +22,9 @@ def print_rebuilt(*, data_dir: Path, as_json: bool) -> None:
 
     with own_data_folder(folder):
         built = rebuild(folder, progress=print_progress_of_sets)
-    if as_json:
-        click.echo(json.dumps(asdict(built)))
-        return
-    click.echo(f"{built.experiment}: {built.sets} sets, {built.events} events, {built.orders} orders")
-    for warning in built.warnings:
-        click.echo(f"warning: {warning}")
-    click.echo(
-        f"the old catalogue is kept as {built.kept}" if built.kept else "there was no catalogue before"
-    )
+    lines = [
+        f"{built.experiment}: {built.sets} sets, {built.events} events, {built.orders} orders",
+        *(f"warning: {warning}" for warning in built.warnings),
+        f"the old catalogue is kept as {built.kept}" if built.kept else "there was no catalogue before",
+    ]
+    print_result(asdict(built), lines, as_json=as_json)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
-
-import click
 
 from daq_service.cli.maintenance.export import refuse_target
 from daq_service.processes.data_folder import data_folder
+from daq_service.processes.printing import print_result
 from daq_service.settings.file import load_settings
 from daq_service.shared_file import write_output
 from daq_service.web.report.make import report_page
@@ -37,7 +35,6 @@ def write_report(
     refuse_target(folder, target, overwrite=overwrite)
     content = report_page(folder, from_h=from_h, to_h=to_h, audited=True)
     write_output(target, content)
-    if as_json:
-        click.echo(json.dumps({"ok": True, "file": str(target), "n_bytes": len(content)}))
-    else:
-        click.echo(f"{target}: open it in a browser, or print it ({len(content) / 1e6:.1f} MB)")
+    result = {"ok": True, "file": str(target), "n_bytes": len(content)}
+    line = f"{target}: open it in a browser, or print it ({len(content) / 1e6:.1f} MB)"
+    print_result(result, [line], as_json=as_json)

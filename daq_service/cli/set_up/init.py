@@ -11,7 +11,6 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
-import click
 import tomlkit
 from pydantic import ValidationError
 from tomlkit.exceptions import TOMLKitError
@@ -19,6 +18,7 @@ from tomlkit.exceptions import TOMLKitError
 from daq_service.catalogue.experiment_file import read_experiment
 from daq_service.clock import format_utc
 from daq_service.errors import UsageError
+from daq_service.processes.printing import print_result
 from daq_service.settings.commented import commented_toml, switched_on
 from daq_service.settings.file import checked_settings, config_file, placeholders
 from daq_service.settings.schema import settings_schema
@@ -88,13 +88,10 @@ def write_configuration(
     schema = refuse_what_is_there(file)
     write_file(file, values, head=HEADS[kind].strip(), off=off)
     keys = [".".join(key) for key in missing]
-    if as_json:
-        click.echo(json.dumps({"kind": kind, "file": str(file), "schema": str(schema), "placeholders": keys}))
-        return
-    click.echo(f"{file} is written, its schema beside it")
-    for key in keys:
-        click.echo(f"to fill in: {key}")
-    click.echo(f"next: solimon check-config {file}")
+    result = {"kind": kind, "file": str(file), "schema": str(schema), "placeholders": keys}
+    fill_in = [f"to fill in: {key}" for key in keys]
+    lines = [f"{file} is written with its schema", *fill_in, f"next: solimon check-config {file}"]
+    print_result(result, lines, as_json=as_json)
 
 
 def schema_text() -> str:

@@ -7,7 +7,6 @@ service of its own, so that it outlives the recorder (decision 0015).
 from __future__ import annotations
 
 import getpass
-import json
 import math
 import os
 import shlex
@@ -17,13 +16,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path, PurePath
 from xml.sax.saxutils import escape
 
-import click
-
 from daq_service.corrosion_drive.remote import answered_within_s
 from daq_service.errors import EXIT_INTERRUPTED, UsageError
 from daq_service.processes.child import PROGRAM
 from daq_service.processes.data_folder import settings_and_folder
 from daq_service.processes.heartbeat import WEB_DEADLINE_S
+from daq_service.processes.printing import print_result
 from daq_service.processes.supervisor import STARTING_GRACE_S
 from daq_service.recording.session import longest_call_s
 from daq_service.settings.tree import Settings
@@ -55,12 +53,9 @@ def write_services(
     except OSError as error:
         raise UsageError(f"cannot write to {out}: {error.strerror}; choose another --out") from error
     install = _to_install(manager, files)
-    if as_json:
-        click.echo(json.dumps({"manager": manager, "files": list(map(str, files)), "install": install}))
-        return
-    for file in files:
-        click.echo(f"written: {file}")
-    click.echo("\n".join(["install with:", *install]))
+    result = {"manager": manager, "files": list(map(str, files)), "install": install}
+    lines = [*(f"written: {file}" for file in files), "install with:", *install]
+    print_result(result, lines, as_json=as_json)
 
 
 def _this_user() -> str:

@@ -97,7 +97,7 @@ def _ask_for_transducers(dialogue: Dialogue, instruments: Instruments) -> None:
         instruments.ask_wiring(position)
         while _strikes_or_goes_on(dialogue, position):
             try:
-                instruments.strike(asked_position)
+                instruments.strike(position)
             except (InstrumentError, AnalysisError, BusyError) as error:
                 dialogue.report(f"  {error}")
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import xarray
-from support.filled_folder import FilledFolder, frozen_baseline
+from support.filled_folder import filled_folder, frozen_baseline
 from support.served_web import served
 
 from daq_service import client
@@ -27,12 +27,12 @@ N_SETS = 60
 TABLES = {
     "features": lambda test: test.features(),
     "features?scope=shot&position=B": lambda test: test.features("B", scope="shot"),
-    "verdicts?position=B&from_h=5&to_h=20": lambda test: test.assessments("B", from_h=5, to_h=20),
+    "assessments?position=B&from_h=5&to_h=20": lambda test: test.assessments("B", from_h=5, to_h=20),
     "thickness": lambda test: test.thickness(),
     "sets?position=C": lambda test: test.sets("C"),
     "sets?purpose=any&position=C": lambda test: test.sets("C", purpose="any"),
     "features?purpose=confirmation": lambda test: test.features(purpose="confirmation"),
-    "verdicts?purpose=confirmation": lambda test: test.assessments(purpose="confirmation"),
+    "assessments?purpose=confirmation": lambda test: test.assessments(purpose="confirmation"),
     "environment": lambda test: test.environment(),
     "alarms": lambda test: test.alarms(),
     "annotations": lambda test: test.annotations(),
@@ -41,25 +41,29 @@ TABLES = {
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
-    for index in range(N_SETS):
-        folder.add_set(index, stored=index in (3, 4, N_SETS - 1))
-        if index > 1:
-            folder.add_environment(index)
-    folder.add_alarm("B", 55)
-    folder.add_confirmation("C", N_SETS - 1)
-    retired = {"retired_by": "ben", "retired_because": "coupled anew", "retired_utc_ns": folder.epoch_ns}
-    second = {"name": "B-baseline-2", "state": "collecting", "first_set_index": 400, "last_set_index": 424}
-    for row in (
-        frozen_baseline("B", state="retired", **retired),
-        frozen_baseline("B", **second),
-        frozen_baseline("C", approved_utc_ns=folder.epoch_ns),
-    ):
-        folder.catalogue.commit_set(SetCommit(baselines=[row]))
-    folder.annotate(3.0, to_h=5.5, position="B", text="couplant renewed")
-    folder.add_alarm(None, 50, state="acknowledged", severity="critical", kind="disk_space")
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path_factory.mktemp("data"), shots_per_set=2) as folder:
+        for index in range(N_SETS):
+            folder.add_set(index, stored=index in (3, 4, N_SETS - 1))
+            if index > 1:
+                folder.add_environment(index)
+        folder.add_alarm("B", 55)
+        folder.add_confirmation("C", N_SETS - 1)
+        retired = {"retired_by": "ben", "retired_reason": "coupled anew", "retired_utc_ns": folder.epoch_ns}
+        second = {
+            "name": "B-baseline-2",
+            "state": "collecting",
+            "first_set_index": 400,
+            "last_set_index": 424,
+        }
+        for row in (
+            frozen_baseline("B", state="retired", **retired),
+            frozen_baseline("B", **second),
+            frozen_baseline("C", approved_utc_ns=folder.epoch_ns),
+        ):
+            folder.catalogue.commit_set(SetCommit(baselines=[row]))
+        folder.annotate(3.0, to_h=5.5, position="B", text="couplant renewed")
+        folder.add_alarm(None, 50, state="acknowledged", priority="critical", kind="disk_space")
+        yield folder
 
 
 @pytest.fixture(scope="module")
@@ -87,7 +91,7 @@ def test_folder_service_and_page_agree(resource, of_folder, of_service, service)
     with service.client() as http:
         path, _, query = resource.partition("?")
         page = http.get(f"/api/v1/{path}?limit=1000&{query}").json()
-    items = [with_parts(AssessmentRow, item) if path == "verdicts" else item for item in page["items"]]
+    items = [with_parts(AssessmentRow, item) if path == "assessments" else item for item in page["items"]]
     assert len(here) == len(items) > 0
     for column in here:
         for value, expected in zip(here[column], [item[column] for item in items], strict=True):
@@ -105,7 +109,7 @@ def test_the_baselines_of_a_position_have_their_lifecycle(of_folder, of_service)
     pd.testing.assert_frame_equal(here, there, check_exact=True)
     assert here["name"].tolist() == ["B-baseline-1", "B-baseline-2"]
     assert here["state"].tolist() == ["retired", "collecting"]
-    assert (here["retired_by"][0], here["retired_because"][0]) == ("ben", "coupled anew")
+    assert (here["retired_by"][0], here["retired_reason"][0]) == ("ben", "coupled anew")
     assert here["retired_utc"].tolist() == [pd.Timestamp("2024-01-01T00:00Z"), pd.NaT]
     # Around sets 2 to 47 it was 21.5 degrees, around 400 to 424 nothing was measured.
     assert here["temperature_c"].tolist() == [[21.5, 21.5], None]
@@ -200,32 +204,29 @@ def test_events_are_followed_from_the_last_one(way, filled, request):
 
 
 def test_following_outlives_restarts_of_service_and_recorder(tmp_path):
-    folder = FilledFolder(tmp_path, Settings())
-    folder.add_set(0)
-    texts = []
-    with served(folder.settings, tmp_path) as first:
-        test = client.open(first.url)
-        reading = threading.Thread(
-            target=lambda: texts.extend(
-                event.data["payload"]["text"] for event in itertools.islice(events, 3)
+    with filled_folder(tmp_path, sets=1, stored=True) as folder:
+        texts = []
+        with served(folder.settings, tmp_path) as first:
+            test = client.open(first.url)
+            reading = threading.Thread(
+                target=lambda: texts.extend(
+                    event.data["payload"]["text"] for event in itertools.islice(events, 3)
+                )
             )
-        )
-        before = test.info()["last_event_id"]
-        assert before > 0
-        events = test.follow("service", after=before)
-        folder.say("noted", text="one")
-        reading.start()
-        port = int(first.netloc.rpartition(":")[2])
-    # No service runs: present events are received afterwards, with the recorder's restart.
-    folder.close()
-    again = FilledFolder(tmp_path, Settings(), exists=True)
-    again.say("noted", text="two")
-    with served(again.settings, tmp_path, port=port):
-        again.say("noted", text="three")
-        reading.join(60.0)
-        assert texts == ["one", "two", "three"]
-    test.close()
-    again.close()
+            before = test.info()["last_event_id"]
+            assert before > 0
+            events = test.follow("service", after=before)
+            folder.say("noted", text="one")
+            reading.start()
+            port = int(first.netloc.rpartition(":")[2])
+        # No service runs: present events are received afterwards, with the recorder's restart.
+    with filled_folder(tmp_path, exists=True) as again:
+        again.say("noted", text="two")
+        with served(again.settings, tmp_path, port=port):
+            again.say("noted", text="three")
+            reading.join(60.0)
+            assert texts == ["one", "two", "three"]
+        test.close()
 
 
 def test_a_token_is_sent_as_a_bearer_s(monkeypatch):
@@ -246,27 +247,22 @@ def test_a_folder_is_read_without_a_token_also_where_its_service_asks_for_one(tm
     tokens = tmp_path / "rig-tokens.json" if of_its_own else data / "tokens.json"
     web = {"tokens_file": str(tokens)} if of_its_own else {}
     create_token(tokens, "ann", "admin")
-    filled = FilledFolder(data, Settings(web=web))
-    filled.add_set(0, stored=False)
-    with client.open(data) as test:
-        assert test.info()["name"] == filled.settings.name
-        assert len(test.features("B")) == 1
-    with (
-        served(filled.settings, data) as running,
-        client.open(running.url) as test,
-        pytest.raises(client.RefusedError, match="access token"),
-    ):
-        test.info()
-    filled.close()
+    with filled_folder(data, Settings(web=web), sets=1) as filled:
+        with client.open(data) as test:
+            assert test.info()["name"] == filled.settings.name
+            assert len(test.features("B")) == 1
+        with (
+            served(filled.settings, data) as running,
+            client.open(running.url) as test,
+            pytest.raises(client.RefusedError, match="access token"),
+        ):
+            test.info()
 
 
 def test_a_folder_is_read_though_its_service_is_reachable_from_elsewhere(tmp_path):
     web = {"host_names": ["rig.example"], "proxy": "127.0.0.1"}
-    filled = FilledFolder(tmp_path, Settings(web=web))
-    filled.add_set(0, stored=False)
-    with client.open(tmp_path) as test:
+    with filled_folder(tmp_path, Settings(web=web), sets=1), client.open(tmp_path) as test:
         assert len(test.features("B")) == 1
-    filled.close()
 
 
 def test_the_stream_s_heartbeats_and_goodbye_are_no_events():

@@ -75,17 +75,6 @@ def test_a_setpoint_outside_the_tolerance_is_switched_off(question, off_by, mess
     assert line.values["OUTP"] is False
 
 
-@pytest.mark.parametrize(
-    ("voltage_v", "current_limit_a", "message"),
-    [(12.01, 1.0, "voltage_v is 12.01; .* voltage_cap_v = 12"), (10.0, 2.01, "current_limit_a is 2.01")],
-)
-def test_values_above_the_caps_are_not_sent(voltage_v, current_limit_a, message):
-    line = AnsweringLine()
-    with pytest.raises(ConfigurationError, match=message):
-        supply_on(line).energise(voltage_v, current_limit_a)
-    assert line.sent == []
-
-
 def test_a_tripped_protection_is_not_reset():
     line = AnsweringLine(**{"CURR:PROT:TRIP?": True})
     with pytest.raises(ConfigurationError, match=r"has tripped .*; the output was left as it was"):

@@ -7,18 +7,17 @@ from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 
-import click
-
 from daq_service.cli.terminal import print_progress_of_sets
 from daq_service.errors import UsageError
 from daq_service.processes.executors import checked_name, usable_cores
+from daq_service.processes.printing import print_result
 from daq_service.recording.reassessment.changes import (
     Difference,
     Onset,
 )
 from daq_service.recording.reassessment.replay import Replayed, replayed
 
-PROCESS_EVENTS = ("row", "cause", "outlier", "chart_alarm")
+PROCESS_EVENTS = ("row", "cause", "outlier", "mewma_alarm")
 """Columns that are listed first: the result of a set, before its numbers."""
 
 
@@ -38,11 +37,7 @@ def run_replay(
     if extract:
         by = checked_name(executor or "threads", workers), workers or usable_cores()
     found = replayed(data_dir, given, extract_by=by, progress=print_progress_of_sets)
-    if as_json:
-        click.echo(json.dumps(asdict(found)))
-        return
-    for line in in_words(found):
-        click.echo(line)
+    print_result(asdict(found), in_words(found), as_json=as_json)
 
 
 def in_words(found: Replayed) -> Iterable[str]:
@@ -66,7 +61,7 @@ def in_words(found: Replayed) -> Iterable[str]:
             yield f"baseline {row.position}: {row.column} {_short(row.stored)} -> {_short(row.again)}"
     yield from _of_sets(found.differences)
     for position in found.not_assessed:
-        yield position.told
+        yield position.description
     if not (alarms.moved or alarms.come or alarms.go or found.differences):
         yield "nothing changes: every alarm, limit and verdict is what is stored"
 

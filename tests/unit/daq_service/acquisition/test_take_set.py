@@ -61,9 +61,10 @@ class RecordingInstruments:
         self.armed = None
 
 
-def strikes_of_all_sets(positions, shots_per_set):
+def strikes_of_all_sets(positions, shots_per_set, now_ns=0):
     """Return the strikes that `take_set` makes in every set."""
     clock = Clock()
+    clock.now_ns = now_ns
     deaf = RecordingInstruments(clock)
     rig = Rig(kind="simulated", clock=clock, striker=deaf, digitizer=deaf)
     for due in SETS:
@@ -87,6 +88,12 @@ def test_the_plan_is_what_take_set_strikes(number):
     strikes = strikes_of_all_sets(("B", "C"), 4)
     assert len(strikes) == len(SETS) * 2 * 4
     assert list(planned(("B", "C"), 4)(*strikes[number])) == strikes[number + 1 :]
+
+
+def test_a_late_set_is_struck_at_the_same_intervals():
+    late_ns = SETS[0].due_utc_ns + 600 * NS_PER_S
+    times = [at_ns for _, at_ns in strikes_of_all_sets(("B",), 4, late_ns)[:4]]
+    assert np.diff([late_ns, *times]).tolist() == [0, *[round(INTERVAL_S * NS_PER_S)] * 3]
 
 
 def test_a_shot_outside_the_schedule_is_followed_by_nothing():

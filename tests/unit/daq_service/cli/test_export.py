@@ -311,5 +311,5 @@ def test_a_table_is_complete_or_absent(running, tmp_path, monkeypatch):
     monkeypatch.setattr(shared_file, "write_all", full)
     code, answer = solimon("export", "--data-dir", running, "--table", "sets", "--out", target, "--overwrite")
     assert (code, target.read_text()) == (4, "older")
-    assert "free or mend the disk" in answer
+    assert "free or repair the disk" in answer
     assert list(tmp_path.iterdir()) == [target]

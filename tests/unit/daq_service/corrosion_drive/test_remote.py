@@ -172,7 +172,7 @@ def test_a_missing_first_response_raises_an_alarm_after_a_while(bench: Bench) ->
     assert (row.set_index, row.supply_state, row.supply_quality) == (3, "unknown", "stale")
     assert bench.active() == {}
     bench.now_s += COMES_WITHIN_S
-    assert "Its process has not answered" in bench.active()["supply_lost"]
+    assert "Its process has not answered" in bench.active()["supply_not_responding"]
 
 
 def test_a_missing_process_gives_an_unknown_state_with_its_age(bench: Bench) -> None:
@@ -182,7 +182,7 @@ def test_a_missing_process_gives_an_unknown_state_with_its_age(bench: Bench) -> 
     unknown_s = bench.remote.row(0, 0.0).unknown_s or 0.0
     bench.is_killed()
     bench.wait_for_row(supply_state="unknown", supply_quality="lost")
-    assert list(bench.active()) == ["supply_lost"]
+    assert list(bench.active()) == ["supply_not_responding"]
     bench.now_s += 100.0
     row = bench.remote.row(0, 0.0)
     assert row.supply_age_s is not None
@@ -287,13 +287,6 @@ def test_at_the_end_a_process_that_does_not_answer_is_replaced_by_one_that_switc
     bench.comes_up()
     assert bench.process is not None
     bench.process.step()
-    assert not bench.supply.on
-
-
-def test_at_the_end_the_supply_is_off(bench: Bench) -> None:
-    bench.comes_up()
-    bench.answer(bench.remote.energise("Ada"))
-    bench.remote.switch_off_at_end()
     assert not bench.supply.on
 
 

@@ -136,11 +136,6 @@ def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp
     assert beat.doing == "taking set 1"
 
 
-def test_no_partial_file_remains(tmp_path: Path) -> None:
-    Heartbeat(tmp_path, deadline_s=65.0).beat("waiting")
-    assert [path.name for path in tmp_path.iterdir()] == ["heartbeat.json"]
-
-
 @pytest.mark.parametrize(
     "text",
     ["", "{", '{"process": 1, "mono_ns": 5', "[]", "null", '{"process": 1}', '{"mono_ns": "x"}', "\x00" * 80],

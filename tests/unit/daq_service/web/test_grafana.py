@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served, served_app
 
 from daq_service.settings.tree import Settings
@@ -34,13 +34,12 @@ GROUPING = re.compile(r"\bby \((?P<labels>[^)]*)\)")
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """Return a test with all kinds of data."""
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
-    for index in range(60):
-        folder.add_set(index, stored=index == 0)
-    folder.add_alarm("B", 55)
-    folder.catalogue.add_command("ann", "pause", {"note": "hands"})
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path_factory.mktemp("data")) as folder:
+        for index in range(60):
+            folder.add_set(index, stored=index == 0)
+        folder.add_alarm("B", 55)
+        folder.catalogue.add_command("ann", "pause", {"note": "hands"})
+        yield folder
 
 
 @pytest.fixture(scope="module", params=["one test", "several tests"])

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served, served_app
 from support.small_experiment import AtOnce
 from test_web_metrics import samples, value
@@ -24,19 +24,16 @@ SETS = 4
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    filled = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
-    for index in range(SETS):
-        filled.add_set(index, stored=False)
-    filled.shelve(filled.add_alarm("A", SETS - 1, kind="thickness"), "a known leak", for_h=8.0)
-    row = filled.catalogue.alarm(filled.add_alarm("B", SETS - 1))
-    moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
-    filled._change(take_out_of_service(row, "ann", "its sensor is repaired", moment), moment)
-    filled.shelve(filled.add_alarm("C", 0), "its time is over", for_h=0.25)
-    yield filled
-    filled.close()
+    with filled_folder(tmp_path_factory.mktemp("data"), sets=SETS) as filled:
+        filled.shelve(filled.add_alarm("A", SETS - 1, kind="thickness_low"), "a known leak", for_h=8.0)
+        row = filled.catalogue.alarm(filled.add_alarm("B", SETS - 1))
+        moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
+        filled._change(take_out_of_service(row, "ann", "its sensor is repaired", moment), moment)
+        filled.shelve(filled.add_alarm("C", 0), "its time is over", for_h=0.25)
+        yield filled
 
 
-EXPECTED = {"A": "shelved", "B": "out_of_service", "C": "alarm", "D": "learning"}
+EXPECTED = {"A": "shelved", "B": "out_of_service", "C": "alarm", "D": "collecting_baseline"}
 
 
 def test_page_metrics_and_report_show_suppressed_alarms(folder, monkeypatch):

@@ -1,20 +1,15 @@
 """Notes on hours of the test: created by commands, listed by range, withdrawn but never erased."""
 
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served
-
-from daq_service.settings.tree import Settings
 
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory):
     """Return the client of an ended test, where each command is executed within its request."""
-    filled = FilledFolder(tmp_path_factory.mktemp("ended"), Settings())
-    for index in range(2):
-        filled.add_set(index, stored=False)
-    filled.say("schedule_done", filled.due[1].due_utc_ns)
-    filled.close()
+    with filled_folder(tmp_path_factory.mktemp("ended"), sets=2) as filled:
+        filled.say("schedule_done", filled.due[1].due_utc_ns)
     with served(filled.settings, filled.folder) as service, service.client() as client:
         yield client
 
@@ -88,11 +83,3 @@ def test_an_invalid_note_is_rejected_and_not_stored(api, body, pointer):
     assert answer.status_code == 422, answer.text
     assert answer.json()["errors"][0]["pointer"] == f"/annotate/arguments{pointer}"
     assert listed(api) == before
-
-
-def test_a_note_on_a_position_that_is_not_there_is_refused(api):
-    answer = note(api, from_h=1.0, position="Z", text="where?")
-    assert (answer.status_code, answer.json()["hint"]) == (
-        404,
-        "The positions are A, B, C, D; leave it out for the whole test.",
-    )

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import httpx
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import DEADLINE_S, served
 from support.waiting import until
 from websockets.exceptions import InvalidStatus
@@ -34,10 +34,9 @@ DUE = "/api/v1/info"
 
 @pytest.fixture
 def filled(tmp_path):
-    folder = FilledFolder(tmp_path, Settings())
-    folder.add_set(0, stored=False, shown=True)
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path) as folder:
+        folder.add_set(0, stored=False, shown=True)
+        yield folder
 
 
 @pytest.fixture
@@ -255,17 +254,6 @@ def test_an_oversized_cookie_is_refused(filled):
     assert answer.status_code == 431
 
 
-@pytest.mark.parametrize(
-    ("headers", "status"), [({"Host": "evil.example"}, 400), ({"Origin": "http://evil.example"}, 403)]
-)
-def test_a_token_is_rejected_for_a_foreign_host_or_origin(filled, tokens, headers, status):
-    _, text = create_token(tokens, "ann", "admin")
-    with served(filled.settings, filled.folder) as service, service.client() as api:
-        bearer = {"Authorization": f"Bearer {text}"}
-        assert api.post("/api/v1/commands", json=HOLD, headers=bearer | headers).status_code == status
-        assert api.post("/api/v1/commands", json=HOLD, headers=bearer).status_code == 202
-
-
 def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):
     _, text = create_token(tokens, "ann", "admin")
     with (
@@ -408,19 +396,6 @@ def test_a_torn_line_takes_no_other_with_it(tmp_path):
     audit.add(**ann)
     found, before = read_audit(tmp_path, limit=10)
     assert ([number for number, _ in found], before) == ([2, 1], None)
-
-
-def test_pages_of_the_audit_log_are_complete(tmp_path):
-    audit = Audit(tmp_path)
-    for number in range(25):
-        audit.add(who=f"p{number}", role="admin", source="terminal", what="pause", result="accepted")
-    seen, end = [], None
-    while True:
-        page, end = read_audit(tmp_path, limit=7, end=end)
-        seen += [number for number, _ in page]
-        if end is None:
-            break
-    assert seen == list(range(25, 0, -1))
 
 
 @pytest.fixture

@@ -5,22 +5,19 @@ import io
 
 import h5py
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served
-
-from daq_service.settings.tree import Settings
 
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
-    for index in range(3):
-        folder.add_set(index, stored=index < 2)
-    file = next(iter(sorted((folder.folder / "sets").iterdir())))
-    folder.catalogue.set_digest(0, f"sets/{file.name}", hashlib.sha256(file.read_bytes()).hexdigest())
-    (folder.folder / "sets" / "set_000009_secret.h5").write_bytes(b"not the catalogue's")
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path_factory.mktemp("data")) as folder:
+        for index in range(3):
+            folder.add_set(index, stored=index < 2)
+        file = next(iter(sorted((folder.folder / "sets").iterdir())))
+        folder.catalogue.set_digest(0, f"sets/{file.name}", hashlib.sha256(file.read_bytes()).hexdigest())
+        (folder.folder / "sets" / "set_000009_secret.h5").write_bytes(b"not the catalogue's")
+        yield folder
 
 
 @pytest.fixture(scope="module")

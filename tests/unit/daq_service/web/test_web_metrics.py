@@ -1,10 +1,7 @@
 """`/metrics` is OpenMetrics, agrees with the page, and reads no history."""
 
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
-from support.filled_folder import LIMIT_F, FilledFolder
-from support.served_web import served
-
-from daq_service.settings.tree import Settings
+from support.filled_folder import LIMIT_F, served_folder
 
 
 def samples(api):
@@ -23,8 +20,7 @@ def value(found, name, **labels):
 
 
 def test_metrics_agree_with_the_page(tmp_path):
-    folder = FilledFolder(tmp_path, Settings(), shots_per_set=2)
-    with served(folder.settings, tmp_path) as service, service.client() as api:
+    with served_folder(tmp_path, shots_per_set=2) as (folder, api):
         empty = samples(api)
         assert value(empty, "has_data") == 0
         for index in range(60):
@@ -32,17 +28,16 @@ def test_metrics_agree_with_the_page(tmp_path):
         folder.add_alarm("B", 55)
         found = samples(api)
         places = {item["position"]: item for item in api.get("/api/v1/transducers").json()["items"]}
-    folder.close()
     at_b = places["B"]
     assert value(found, "time_of_flight_seconds", position="B") == at_b["last_feature"]["tof_pp_s"]
-    assert value(found, "distance_squared", position="B") == at_b["last_verdict"]["distance_squared"]
+    assert value(found, "distance_squared", position="B") == at_b["last_assessment"]["distance_squared"]
     assert value(found, "distance_squared_limit", position="B") == LIMIT_F
     assert value(found, "thickness_meters", position="A") == places["A"]["last_thickness"]["thickness_m"]
     assert value(found, "data_age_seconds", position="B") == 3600.0 * at_b["age_h"]
     assert value(found, "position_state", position="B", state="alarm") == 1
     assert value(found, "position_state", position="C", state="alarm") == 0
     assert value(found, "quality", position="B", state="good") == 1
-    labels = {"kind": "wall_change", "severity": "high", "state": "unacknowledged", "position": "B"}
+    labels = {"kind": "wall_change", "priority": "high", "state": "unacknowledged", "position": "B"}
     labels["suppressed"] = ""
     assert value(found, "alarms_active", **labels) == 1
     assert value(found, "shots_total") == 60 * 3 * 2

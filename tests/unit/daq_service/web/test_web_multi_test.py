@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import httpx
 import pytest
 from prometheus_client.openmetrics.parser import text_string_to_metric_families
-from support.filled_folder import FilledFolder
+from support.filled_folder import FilledFolder, filled_folder
 from support.reported_alarms import notifying
 from support.served_web import Served, brought, served, served_app, stream_events, take
 from support.waiting import until
@@ -86,11 +86,11 @@ def test_the_list_has_the_status_of_each_test(several):
     assert (hole["name"], hole["page"], hole["state"]) == ("Hole Nr. 2", "/tests/hole-nr-2/", "shown")
     standing = hole["standing"]
     assert (standing["recorder"], standing["state"]) == ("running", "alarm")
-    assert (standing["active_alarms"], standing["highest_severity"]) == (1, "high")
+    assert (standing["active_alarms"], standing["highest_priority"]) == (1, "high")
     assert standing["last_set_index"] == 2
     assert standing["last_set_h"] == several.hole.due[2].due_h
     assert [place["position"] for place in standing["positions"]] == list(HOLE.positions)
-    assert (twin["standing"]["last_set_index"], twin["standing"]["highest_severity"]) == (4, None)
+    assert (twin["standing"]["last_set_index"], twin["standing"]["highest_priority"]) == (4, None)
 
 
 def test_each_test_has_the_whole_interface_below_its_name(several):
@@ -269,22 +269,22 @@ def test_a_test_that_starts_later_appears_under_its_configured_name(tmp_path, mo
 
 def test_an_ended_test_is_read_again_only_when_its_files_change(tmp_path, several, monkeypatch):
     monkeypatch.setattr("daq_service.web.multi_test.listing.CHANGING_S", 0.0)
-    filled = FilledFolder(tmp_path, HOLE)
-    filled.add_set(0, stored=False)
-    filled.say("schedule_done")
-    filled.recorder_ends()
-    listing = Listing(ServedTests([tmp_path, several.hole.folder], AccessPolicy(WebSettings(), tmp_path)))
-    read = []
-    look_at = Listing._entry
-    monkeypatch.setattr(Listing, "_entry", lambda self, test: read.append(test.title) or look_at(self, test))
-    first = listing.entries()
-    assert [row["standing"]["recorder"] for row in first] == ["finished", "running"]
-    listing.entries()
-    assert len(read) == 3, "the running one again, the ended one not"
-    filled.add_set(1, stored=False)
-    (row, _) = listing.entries()
-    assert row["standing"]["last_set_index"] == 1
-    filled.close()
+    with filled_folder(tmp_path, HOLE, sets=1) as filled:
+        filled.say("schedule_done")
+        filled.recorder_ends()
+        listing = Listing(ServedTests([tmp_path, several.hole.folder], AccessPolicy(WebSettings(), tmp_path)))
+        read = []
+        look_at = Listing._entry
+        monkeypatch.setattr(
+            Listing, "_entry", lambda self, test: read.append(test.title) or look_at(self, test)
+        )
+        first = listing.entries()
+        assert [row["standing"]["recorder"] for row in first] == ["finished", "running"]
+        listing.entries()
+        assert len(read) == 3, "the running one again, the ended one not"
+        filled.add_set(1, stored=False)
+        (row, _) = listing.entries()
+        assert row["standing"]["last_set_index"] == 1
 
 
 def test_the_same_folder_twice_is_refused_with_both_paths(tmp_path):
@@ -325,17 +325,15 @@ def test_used_and_a_few_recent_tests_stay_open(several, tmp_path, monkeypatch):
 
 def test_a_test_with_receivers_is_open_from_the_start(several, tmp_path):
     (tmp_path / "watched").mkdir()
-    watched = FilledFolder(tmp_path / "watched", notifying())
-    watched.add_set(0, stored=False)
-    app = app_of(watched.folder, several.twin.folder, own=tmp_path / "own")
-    with served_app(app) as service, service.client() as client:
-        tests = list(inside(service).all.values())
-        until(lambda: tests[0].context is not None, "it is open")
-        assert client.get(f"/tests/{tests[0].name}/api/v1/notifications").json()["sending"] is True
-        asyncio.run(inside(service).close_idle(keep=0))
-        assert tests[0].context is not None
-        assert tests[1].context is None
-    watched.close()
+    with filled_folder(tmp_path / "watched", notifying(), sets=1) as watched:
+        app = app_of(watched.folder, several.twin.folder, own=tmp_path / "own")
+        with served_app(app) as service, service.client() as client:
+            tests = list(inside(service).all.values())
+            until(lambda: tests[0].context is not None, "it is open")
+            assert client.get(f"/tests/{tests[0].name}/api/v1/notifications").json()["sending"] is True
+            asyncio.run(inside(service).close_idle(keep=0))
+            assert tests[0].context is not None
+            assert tests[1].context is None
 
 
 def test_one_login_is_valid_for_all_tests_of_the_service_alone(several, tmp_path):

@@ -3,7 +3,7 @@
 import math
 
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import brought, served
 
 from daq_service.settings.tree import Settings
@@ -19,10 +19,8 @@ PLACES = {
 
 @pytest.fixture
 def filled(tmp_path):
-    folder = FilledFolder(tmp_path, Settings(positions=PLACES))
-    folder.add_set(0, stored=False)
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path, Settings(positions=PLACES), sets=1) as folder:
+        yield folder
 
 
 def without_ages(data):

@@ -2,7 +2,7 @@
 
 import orjson
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import FilledFolder, filled_folder
 from support.served_web import served, served_app
 
 from daq_service.catalogue.connection import FILE_NAME as CATALOGUE_FILE
@@ -16,25 +16,12 @@ from daq_service.web.guards import LARGEST_BODY_BYTES
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(clock={"pace_h_per_s": 5.0}))
-    for index in range(4):
-        folder.add_set(index, stored=False)
-    folder.add_alarm("B", 2)
-    folder.add_alarm("C", 2, state="acknowledged")
-    yield folder
-    folder.close()
-
-
-@pytest.fixture(scope="module")
-def service(filled):
-    with served(filled.settings, filled.folder) as running:
-        yield running
-
-
-@pytest.fixture
-def api(service):
-    with service.client() as client:
-        yield client
+    with filled_folder(
+        tmp_path_factory.mktemp("data"), Settings(clock={"pace_h_per_s": 5.0}), sets=4
+    ) as folder:
+        folder.add_alarm("B", 2)
+        folder.add_alarm("C", 2, state="acknowledged")
+        yield folder
 
 
 def problem(answer, status, name):
@@ -130,7 +117,7 @@ def test_cursor_belongs_to_its_listing_and_filters(api):
     cursor = api.get("/api/v1/sets?limit=1&position=B").json()["next_cursor"]
     assert api.get(f"/api/v1/sets?limit=1&position=B&cursor={cursor}").status_code == 200
     problem(api.get(f"/api/v1/sets?limit=1&position=C&cursor={cursor}"), 422, "invalid-cursor")
-    problem(api.get(f"/api/v1/verdicts?limit=1&position=B&cursor={cursor}"), 422, "invalid-cursor")
+    problem(api.get(f"/api/v1/assessments?limit=1&position=B&cursor={cursor}"), 422, "invalid-cursor")
 
 
 @pytest.mark.parametrize(
@@ -285,13 +272,6 @@ def test_acknowledgement_becomes_a_row(api, filled, as_command):
     assert filled.catalogue.alarm(1).state == "unacknowledged"
 
 
-def test_alarm_that_does_not_wait_cannot_be_acknowledged(api, filled):
-    before = n_commands(filled)
-    problem(api.post("/api/v1/alarms/2/acknowledge", json={}), 409, "conflict")
-    problem(api.post("/api/v1/alarms/77/acknowledge", json={}), 404, "not-found")
-    assert n_commands(filled) == before
-
-
 @pytest.mark.parametrize(
     ("body", "pointer"),
     [
@@ -325,106 +305,3 @@ def test_an_invalid_command_is_rejected_with_a_pointer(api, filled, body, pointe
     assert errors[0]["in"] == "body"
     assert errors[0]["pointer"] == pointer
     assert n_commands(filled) == before
-
-
-@pytest.fixture
-def lab(tmp_path):
-    """Return a separate folder, as these commands depend on earlier ones."""
-    filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False)
-    with served(filled.settings, tmp_path) as service, service.client() as api:
-        yield filled, api
-    filled.close()
-
-
-def ordered(api, kind, **arguments):
-    body = {"kind": kind, "author": "Ada", **({"arguments": arguments} if arguments else {})}
-    return api.post("/api/v1/commands", json=body)
-
-
-def test_pause_and_resume_become_rows_or_are_rejected(lab):
-    filled, api = lab
-    problem(ordered(api, "resume"), 409, "conflict")
-    assert ordered(api, "pause", note="door open").status_code == 202
-    (row,) = filled.catalogue.open_commands()
-    assert (row.kind, row.author, row.arguments) == ("pause", "Ada", {"note": "door open"})
-    filled.say("hold", held="held by Ada: door open", author="Ada")
-    refusal = problem(ordered(api, "pause", note="again"), 409, "conflict")
-    assert "held by Ada: door open" in refusal["detail"]
-    assert ordered(api, "resume").status_code == 202
-    kinds = [(row.kind, row.arguments) for row in filled.catalogue.open_commands()]
-    assert kinds == [("pause", {"note": "door open"}), ("resume", {"note": ""})]
-
-
-def test_disable_and_enable_become_rows_or_are_rejected(lab):
-    filled, api = lab
-    for position in ("Z", "A"):
-        for kind in ("disable", "enable"):
-            refusal = problem(ordered(api, kind, position=position), 409, "conflict")
-            assert f"no solitary-wave transducer '{position}'" in refusal["detail"]
-    assert "not disabled" in problem(ordered(api, "enable", position="B"), 409, "conflict")["detail"]
-    assert ordered(api, "disable", position="B", note="coil is hot").status_code == 202
-    filled.retire("B", 1)
-    refusal = problem(ordered(api, "disable", position="B"), 409, "conflict")
-    assert "10 sets running with nothing at B" in refusal["detail"]
-    assert ordered(api, "enable", position="B").status_code == 202
-    kinds = [(row.kind, row.arguments) for row in filled.catalogue.open_commands()]
-    assert kinds == [
-        ("disable", {"position": "B", "note": "coil is hot"}),
-        ("enable", {"position": "B", "note": ""}),
-    ]
-
-
-SUPPLY = {"line": {"port": "/dev/none"}, "identity": "MAKER,MODEL"}
-
-
-def test_the_supply_is_switched_by_a_named_author(tmp_path, lab):
-    _, api = lab
-    assert "no supply" in problem(ordered(api, "supply_on"), 409, "conflict")["detail"]
-    (tmp_path / "with").mkdir()
-    filled = FilledFolder(tmp_path / "with", Settings(rig={"supply": SUPPLY}))
-    filled.add_set(0, stored=False)
-    with served(filled.settings, tmp_path / "with") as service, service.client() as api:
-        assert ordered(api, "supply_on", voltage_v=5.0).status_code == 202
-        assert ordered(api, "supply_off").status_code == 202
-        kinds = [(row.kind, row.arguments) for row in filled.catalogue.open_commands()]
-    filled.close()
-    assert kinds == [
-        ("supply_on", {"voltage_v": 5.0, "current_limit_a": None, "note": ""}),
-        ("supply_off", {"note": ""}),
-    ]
-
-
-@pytest.mark.parametrize(
-    ("kind", "arguments"),
-    [
-        ("pause", {"note": "why"}),
-        ("resume", {}),
-        ("disable", {"position": "B"}),
-        ("enable", {"position": "B"}),
-    ],
-)
-def test_a_stopped_recorder_accepts_no_supply_command(lab, kind, arguments):
-    filled, api = lab
-    filled.say("recorder_stopped", filled.due[0].due_utc_ns)
-    assert "has stopped" in problem(ordered(api, kind, **arguments), 409, "conflict")["detail"]
-    assert filled.catalogue.open_commands() == []
-
-
-def test_order_that_is_not_json_is_refused(api):
-    answer = api.post("/api/v1/commands", content=b"kind=stop", headers={"Content-Type": "text/plain"})
-    problem(answer, 422, "invalid-request")
-    answer = api.post("/api/v1/commands", content=b"{", headers={"Content-Type": "application/json"})
-    problem(answer, 422, "invalid-request")
-
-
-def test_commands_need_a_recorder(tmp_path):
-    filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False)
-    with served(filled.settings, tmp_path) as service, service.client() as api:
-        # Not paced: there is nothing to finish sooner.
-        problem(api.post("/api/v1/commands", json={"kind": "finish_now"}), 409, "conflict")
-        filled.say("schedule_done", filled.due[0].due_utc_ns)
-        problem(api.post("/api/v1/commands", json={"kind": "stop"}), 409, "conflict")
-        assert filled.catalogue.open_commands() == []
-    filled.close()

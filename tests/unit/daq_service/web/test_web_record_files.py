@@ -12,11 +12,10 @@ import silx.io
 import silx.io.nxdata
 from pyarrow import parquet
 from scipy.io import loadmat
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served
 
 from daq_service import client
-from daq_service.settings.tree import Settings
 from daq_service.web.routes import record_files
 from daq_service.web.tables import records
 from daq_service.web.tables.formats import FORMATS
@@ -27,17 +26,10 @@ STORED = (1, 2, 4)
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=SHOTS)
-    for index in range(6):
-        folder.add_set(index, stored=index in STORED)
-    yield folder
-    folder.close()
-
-
-@pytest.fixture(scope="module")
-def service(filled):
-    with served(filled.settings, filled.folder) as running:
-        yield running
+    with filled_folder(tmp_path_factory.mktemp("data"), shots_per_set=SHOTS) as folder:
+        for index in range(6):
+            folder.add_set(index, stored=index in STORED)
+        yield folder
 
 
 @pytest.fixture(scope="module")
@@ -169,16 +161,15 @@ def test_a_too_large_export_is_rejected_with_limit_and_remedy(api, filled, monke
 
 
 def test_an_unreadable_record_is_marked_and_has_no_voltages(tmp_path):
-    filled = FilledFolder(tmp_path, Settings(), shots_per_set=SHOTS)
-    for index in (0, 1):
-        filled.add_set(index)
-    (tmp_path / "sets" / "away").mkdir()
-    next((tmp_path / "sets").glob("set_000001_*.h5")).rename(tmp_path / "sets" / "away" / "set.h5")
-    with served(filled.settings, tmp_path) as service, service.client() as api:
-        found = read_npz(exported(api, "B", "npz"))
-        table = parquet.read_table(io.BytesIO(exported(api, "B", "parquet"))).to_pandas()
-        cells = exported(api, "B", "csv")
-    filled.close()
+    with filled_folder(tmp_path, shots_per_set=SHOTS) as filled:
+        for index in (0, 1):
+            filled.add_set(index)
+        (tmp_path / "sets" / "away").mkdir()
+        next((tmp_path / "sets").glob("set_000001_*.h5")).rename(tmp_path / "sets" / "away" / "set.h5")
+        with served(filled.settings, tmp_path) as service, service.client() as api:
+            found = read_npz(exported(api, "B", "npz"))
+            table = parquet.read_table(io.BytesIO(exported(api, "B", "parquet"))).to_pandas()
+            cells = exported(api, "B", "csv")
     assert found["readable"].tolist() == [1] * SHOTS + [0] * SHOTS
     assert np.isnan(found["voltage_v"][SHOTS:]).all()
     assert np.isfinite(found["voltage_v"][:SHOTS]).all()

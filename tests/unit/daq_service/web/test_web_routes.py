@@ -1,7 +1,6 @@
 """Every read route of the service on a folder filled through the real catalogue and archive."""
 
 import json
-import math
 import re
 import time
 from datetime import UTC, datetime, timedelta
@@ -9,7 +8,7 @@ from datetime import UTC, datetime, timedelta
 import httpx
 import numpy as np
 import pytest
-from support.filled_folder import LIMIT_F, FilledFolder, frozen_baseline
+from support.filled_folder import LIMIT_F, filled_folder, frozen_baseline, served_folder
 from support.served_web import served
 
 from daq_service.catalogue import SetCommit
@@ -40,15 +39,14 @@ EPOCH = datetime(2024, 1, 1, tzinfo=UTC)
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
-    for index in range(N_SETS):
-        folder.add_set(index, stored=index in (0, N_SETS - 1), shown=index == N_SETS - 1)
-        if index > 1:  # the supply came later
-            folder.add_environment(index)
-    folder.add_alarm("B", 55)
-    folder.add_alarm("C", 50, state="acknowledged", severity="critical", kind="hole")
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path_factory.mktemp("data"), shots_per_set=2) as folder:
+        for index in range(N_SETS):
+            folder.add_set(index, stored=index in (0, N_SETS - 1), shown=index == N_SETS - 1)
+            if index > 1:  # the supply came later
+                folder.add_environment(index)
+        folder.add_alarm("B", 55)
+        folder.add_alarm("C", 50, state="acknowledged", priority="critical", kind="no_reflection")
+        yield folder
 
 
 @pytest.fixture(scope="module")
@@ -63,42 +61,6 @@ def get(api, path):
     return answer.json()
 
 
-@pytest.mark.parametrize(
-    ("path", "model"),
-    [
-        ("/healthz", models.Liveness),
-        ("/readyz", models.Liveness),
-        ("/api/v1/info", models.Info),
-        ("/api/v1/health", models.ServiceHealth),
-        ("/api/v1/transducers", models.PositionList),
-        ("/api/v1/transducers/A", models.PositionState),
-        ("/api/v1/transducers/B", models.PositionState),
-        ("/api/v1/sets", models.SetPage),
-        ("/api/v1/sets/B/0/shots", models.ShotPage),
-        ("/api/v1/features", models.FeaturePage),
-        ("/api/v1/features?scope=shot&position=C&set_index=3", models.FeaturePage),
-        ("/api/v1/thickness", models.ThicknessPage),
-        ("/api/v1/verdicts", models.AssessmentPage),
-        ("/api/v1/baselines", models.BaselineList),
-        ("/api/v1/trends/A", models.Trend),
-        ("/api/v1/trends/B", models.Trend),
-        ("/api/v1/fits/B?field=tof_pp_s", models.Fit),
-        ("/api/v1/environment", models.EnvironmentPage),
-        ("/api/v1/environment/latest", models.EnvironmentNow),
-        ("/api/v1/alarms", models.AlarmPage),
-        ("/api/v1/alarms/1", models.AlarmRow),
-        ("/api/v1/waveforms/B/0/1", models.WaveformAnswer),
-        ("/api/v1/waveforms/A/0/0?points=200", models.WaveformAnswer),
-    ],
-)
-def test_a_response_has_its_documented_shape(api, path, model):
-    answer = api.get(path)
-    assert answer.status_code == 200, answer.text
-    assert answer.headers["content-type"] == "application/json"
-    # Models forbid what is not documented, so an extra key fails too.
-    model.model_validate_json(answer.content, strict=True)
-
-
 def test_info_names_experiment_rig_clock_and_plan(api, filled):
     info = get(api, "/api/v1/info")
     assert info["name"] == filled.settings.name
@@ -110,14 +72,11 @@ def test_info_names_experiment_rig_clock_and_plan(api, filled):
 
 
 def test_finish_now_is_offered_only_while_a_paced_test_runs(tmp_path):
-    filled = FilledFolder(tmp_path, Settings(clock={"pace_h_per_s": 5.0}))
-    filled.add_set(0, stored=False)
-    with served(filled.settings, tmp_path) as service, service.client() as api:
+    with served_folder(tmp_path, Settings(clock={"pace_h_per_s": 5.0}), sets=1) as (filled, api):
         assert get(api, "/api/v1/info")["clock"]["can_finish_now"] is True
         filled.say("schedule_done", filled.due[0].due_utc_ns)
         info = get(api, "/api/v1/info")
         assert (info["clock"]["can_finish_now"], info["as_of"]["recorder"]) == (False, "finished")
-    filled.close()
 
 
 def test_ages_are_on_the_experiments_clock_and_since_the_last_write(api, filled):
@@ -134,15 +93,15 @@ def test_ages_are_on_the_experiments_clock_and_since_the_last_write(api, filled)
 @pytest.mark.skipif(boot_name() is None, reason="this system names no boot")
 @pytest.mark.parametrize(("by_h", "side"), [(400, "ahead of"), (-400, "behind")])
 def test_ages_are_on_the_tests_own_time_when_the_computers_clock_was_set(tmp_path, capsys, by_h, side):
-    filled = FilledFolder(tmp_path, Settings(clock={"kind": "wall"}))
-    filled.add_set(0, stored=False)
-    now_ns = time.time_ns() - by_h * NS_PER_H  # written before the step
-    written = EventRow(utc_ns=now_ns, wall_utc_ns=now_ns, topic="service", kind="self_calibrated", payload={})
-    filled.catalogue.commit_set(SetCommit(events=[written]))
-    filled.beat(line=TimeLine(utc_ns=now_ns, elapsed_ns=elapsed_ns()))
-    with served(filled.settings, tmp_path) as service, service.client() as api:
-        info = get(api, "/api/v1/info")
-    filled.close()
+    with filled_folder(tmp_path, Settings(clock={"kind": "wall"}), sets=1) as filled:
+        now_ns = time.time_ns() - by_h * NS_PER_H  # written before the step
+        written = EventRow(
+            utc_ns=now_ns, wall_utc_ns=now_ns, topic="service", kind="self_calibrated", payload={}
+        )
+        filled.catalogue.commit_set(SetCommit(events=[written]))
+        filled.beat(line=TimeLine(utc_ns=now_ns, elapsed_ns=elapsed_ns()))
+        with served(filled.settings, tmp_path) as service, service.client() as api:
+            info = get(api, "/api/v1/info")
     assert info["clock"]["system_ahead_s"] == pytest.approx(by_h * 3600, abs=300.0)
     age = datetime.now(UTC) - datetime.fromisoformat(info["as_of"]["now_utc"])
     assert age.total_seconds() == pytest.approx(by_h * 3600, abs=300.0)
@@ -171,7 +130,7 @@ def test_ranges_include_their_start_and_exclude_their_end(api):
     [
         ("/api/v1/sets", 4 * N_SETS),
         ("/api/v1/features?scope=shot", 6 * N_SETS),
-        ("/api/v1/verdicts?position=D", N_SETS),
+        ("/api/v1/assessments?position=D", N_SETS),
         ("/api/v1/thickness", N_SETS),
         ("/api/v1/environment", N_SETS - 2),
         ("/api/v1/alarms", 2),
@@ -229,18 +188,13 @@ def test_the_supply_state_is_that_of_its_process_with_its_age(api, filled):
 
 
 def test_without_supply_and_probe_the_environment_is_empty(tmp_path):
-    filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False)
-    with served(filled.settings, tmp_path) as service, service.client() as api:
+    with served_folder(tmp_path, sets=1) as (_filled, api):
         assert get(api, "/api/v1/environment")["items"] == []
         assert get(api, "/api/v1/environment/latest")["latest"] is None
-    filled.close()
 
 
 def test_info_shows_a_pause_and_a_dry_run(tmp_path):
-    filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False)
-    with served(filled.settings, tmp_path) as service, service.client() as api:
+    with served_folder(tmp_path, sets=1) as (filled, api):
 
         def pause_and_dry_run():
             info = get(api, "/api/v1/info")
@@ -248,13 +202,12 @@ def test_info_shows_a_pause_and_a_dry_run(tmp_path):
 
         assert pause_and_dry_run() == (None, None), "a recorder of an older version does not say"
         filled.say("recorder_started", dry_run=True)
-        filled.say("hold", held="held by ann: door open", author="ann")
+        filled.say("pause", held="held by ann: door open", author="ann")
         assert pause_and_dry_run() == ("held by ann: door open", True)
         filled.say("recorder_started", dry_run=False)
         assert pause_and_dry_run() == ("held by ann: door open", False), "a restart ends no hold"
-        filled.say("release", held="", author="ann")
+        filled.say("resume", held="", author="ann")
         assert pause_and_dry_run() == (None, False)
-    filled.close()
 
 
 def test_trend_columns_are_the_catalogues_rows(api, filled):
@@ -339,59 +292,52 @@ def test_transducers_have_their_state(api):
     assert {name: row["state"] for name, row in states.items()} == {
         "A": "normal",
         "B": "alarm",
-        "C": "retired",
+        "C": "disabled",
         "D": "normal",
     }
-    assert states["C"]["highest_severity"] == "critical"
-    assert states["B"]["last_verdict"]["quality"] == "good"
-    assert states["B"]["last_verdict"]["limit_f"] == LIMIT_F
+    assert states["C"]["highest_priority"] == "critical"
+    assert states["B"]["last_assessment"]["quality"] == "good"
+    assert states["B"]["last_assessment"]["limit_f_predictive"] == LIMIT_F
     assert not any(row["stale"] for row in states.values())
     assert states["B"]["last_set"]["set_index"] == N_SETS - 1
 
 
 def test_data_of_a_missing_recorder_are_stale(tmp_path):
-    filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False)
-    filled.recorder_ends()
-    (tmp_path / FILE_NAME).unlink()
-    with served(filled.settings, tmp_path) as service, service.client() as api:
-        answer = get(api, "/api/v1/transducers")
-        assert answer["as_of"]["recorder"] == "silent"
-        assert all(row["stale"] for row in answer["items"])
-    filled.close()
+    with filled_folder(tmp_path, sets=1) as filled:
+        filled.recorder_ends()
+        (tmp_path / FILE_NAME).unlink()
+        with served(filled.settings, tmp_path) as service, service.client() as api:
+            answer = get(api, "/api/v1/transducers")
+            assert answer["as_of"]["recorder"] == "not_responding"
+            assert all(row["stale"] for row in answer["items"])
 
 
 def test_the_evidence_names_its_baseline_on_each_surface(tmp_path):
-    filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False)
-    for name in ("B", "C"):
-        filled.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name)]))
-    by_id = {row.id: row.name for row in filled.catalogue.rows(BaselineRow)}
-    (its_id,) = [number for number, name in by_id.items() if name == "C-baseline-1"]
-    proof = {"set_index": 0, "distance_squared": 30.5, "limit": LIMIT_F, "baseline_id": its_id}
-    filled.add_alarm("C", 0, proof=proof)
-    named = "Set 0 lies at a squared distance of 30.5 from C-baseline-1, 1.26 times the limit of 24.3."
-    with served(filled.settings, tmp_path) as service, service.client() as api:
-        assert get(api, "/api/v1/alarms/1")["proof_sentences"][0] == named
-        assert named in api.get("/api/v1/tables/alarms?format=csv").text
-    assert named in report_page(tmp_path).decode()
-    filled.close()
+    with filled_folder(tmp_path, sets=1) as filled:
+        for name in ("B", "C"):
+            filled.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name)]))
+        by_id = {row.id: row.name for row in filled.catalogue.rows(BaselineRow)}
+        (its_id,) = [number for number, name in by_id.items() if name == "C-baseline-1"]
+        evidence = {"set_index": 0, "distance_squared": 30.5, "limit": LIMIT_F, "baseline_id": its_id}
+        filled.add_alarm("C", 0, evidence=evidence)
+        named = "Set 0 lies at a squared distance of 30.5 from C-baseline-1, 1.26 times the limit of 24.3."
+        with served(filled.settings, tmp_path) as service, service.client() as api:
+            assert get(api, "/api/v1/alarms/1")["evidence_sentences"][0] == named
+            assert named in api.get("/api/v1/tables/alarms?format=csv").text
+        assert named in report_page(tmp_path).decode()
 
 
 def test_data_of_a_disabled_transducer_continue_to_age(tmp_path):
-    filled = FilledFolder(tmp_path, Settings())
-    for index in range(2):
-        filled.add_set(index, stored=False)
-    filled.retire("C", 2)
-    with served(filled.settings, tmp_path) as service, service.client() as api:
-        states = {row["position"]: row for row in get(api, "/api/v1/transducers")["items"]}
-    assert (states["C"]["state"], states["C"]["last_set"]["due_h"]) == ("retired", 1.5)
-    assert (states["C"]["data_h"], states["C"]["age_h"]) == (1.0, 0.5)
-    assert states["C"]["data_utc"] == "2024-01-01T01:00:00Z"
-    assert states["D"]["age_h"] == 0.5
-    assert states["C"]["retired_because"] == "10 sets running with nothing at C"
-    assert states["D"]["retired_because"] is None
-    filled.close()
+    with filled_folder(tmp_path, sets=2) as filled:
+        filled.retire("C", 2)
+        with served(filled.settings, tmp_path) as service, service.client() as api:
+            states = {row["position"]: row for row in get(api, "/api/v1/transducers")["items"]}
+        assert (states["C"]["state"], states["C"]["last_set"]["due_h"]) == ("disabled", 1.5)
+        assert (states["C"]["data_h"], states["C"]["age_h"]) == (1.0, 0.5)
+        assert states["C"]["data_utc"] == "2024-01-01T01:00:00Z"
+        assert states["D"]["age_h"] == 0.5
+        assert states["C"]["disabled_reason"] == "10 sets running with nothing at C"
+        assert states["D"]["disabled_reason"] is None
 
 
 def test_health_counts_what_is_stored(api):
@@ -407,8 +353,8 @@ def test_alarm_filter_by_activity(api):
     assert len(get(api, "/api/v1/alarms?active=true")["items"]) == 2
     assert get(api, "/api/v1/alarms?active=false")["items"] == []
     alarm = get(api, "/api/v1/alarms/1")
-    assert alarm["proof"]["limit"] == LIMIT_F
-    assert alarm["proof_sentences"][0].endswith(f"1.26 times the limit of {LIMIT_F}.")
+    assert alarm["evidence"]["limit"] == LIMIT_F
+    assert alarm["evidence_sentences"][0].endswith(f"1.26 times the limit of {LIMIT_F}.")
 
 
 @pytest.mark.parametrize(
@@ -477,39 +423,32 @@ def test_rows_with_hours_also_have_utc_times():
     }
 
 
-def test_everything_the_twin_measures_is_a_number_or_null(api):
-    for column in get(api, "/api/v1/trends/B")["columns"].values():
-        assert all(not isinstance(value, float) or math.isfinite(value) for value in column)
-
-
 ASKED = {
     "text": "strike C now", "position": "C", "set_index": 3, "shot_index": 6, "attempt": 0, "within_s": 60.0
 }  # fmt: skip
 
 
 def test_info_shows_the_requested_action_and_its_remaining_time(tmp_path):
-    filled = FilledFolder(tmp_path, Settings())
-    filled.add_set(0, stored=False)
-    at_ns = filled.due[0].due_utc_ns
-    with served(filled.settings, tmp_path) as service, service.client() as api:
+    with filled_folder(tmp_path, sets=1) as filled:
+        at_ns = filled.due[0].due_utc_ns
+        with served(filled.settings, tmp_path) as service, service.client() as api:
 
-        def requested_action():
-            return get(api, "/api/v1/info")["asked"]
+            def requested_action():
+                return get(api, "/api/v1/info")["asked"]
 
-        assert requested_action() is None
-        filled.say("asked", at_ns, **ASKED)
-        assert requested_action() == {**ASKED, "left_s": 60.0}
-        filled.say("orders", at_ns + 45 * 10**9)
-        assert requested_action()["left_s"] == 15.0
-        filled.say("orders", at_ns + 60 * 10**9)
-        assert requested_action() is None, "too late"
-        filled.say("asked", at_ns + 61 * 10**9, **ASKED)
-        filled.say("asked_over", at_ns + 62 * 10**9)
-        assert requested_action() is None, "done"
-        filled.say("asked", at_ns + 63 * 10**9, **ASKED)
-        filled.recorder_ends()
-        assert requested_action() is None, "nobody waits"
-    filled.close()
+            assert requested_action() is None
+            filled.say("asked", at_ns, **ASKED)
+            assert requested_action() == {**ASKED, "left_s": 60.0}
+            filled.say("orders", at_ns + 45 * 10**9)
+            assert requested_action()["left_s"] == 15.0
+            filled.say("orders", at_ns + 60 * 10**9)
+            assert requested_action() is None, "too late"
+            filled.say("asked", at_ns + 61 * 10**9, **ASKED)
+            filled.say("asked_over", at_ns + 62 * 10**9)
+            assert requested_action() is None, "done"
+            filled.say("asked", at_ns + 63 * 10**9, **ASKED)
+            filled.recorder_ends()
+            assert requested_action() is None, "nobody waits"
 
 
 def test_info_names_the_instruments_of_a_mixed_rig(tmp_path):
@@ -519,13 +458,13 @@ def test_info_names_the_instruments_of_a_mixed_rig(tmp_path):
         "positions": {"B": {"digitizer": "scope", "striker": "hammer"}},
     }
     positions = {"B": {"method": "solitary_wave"}}
-    filled = FilledFolder(tmp_path, Settings(rig=rig, positions=positions, clock={"kind": "wall"}))
-    filled.add_set(0, stored=False)
-    identity = {"scope": "lab-scope, lab-drivers 1.2", "scope.serial_number": "S-77"}
-    filled.say("recorder_started", filled.due[0].due_utc_ns, dry_run=False, rig_identity=identity)
-    with served(filled.settings, tmp_path) as service, service.client() as api:
-        info = get(api, "/api/v1/info")
-    filled.close()
+    with filled_folder(
+        tmp_path, Settings(rig=rig, positions=positions, clock={"kind": "wall"}), sets=1
+    ) as filled:
+        identity = {"scope": "lab-scope, lab-drivers 1.2", "scope.serial_number": "S-77"}
+        filled.say("recorder_started", filled.due[0].due_utc_ns, dry_run=False, rig_identity=identity)
+        with served(filled.settings, tmp_path) as service, service.client() as api:
+            info = get(api, "/api/v1/info")
     assert (info["rig"], info["rig_label"], info["rig_identity"]) == ("mixed", "mixed rig", identity)
     assert info["instruments"] == [
         {"name": "scope", "kind": "lab-scope", "serves": {"digitizer": ["B"]}},

@@ -8,7 +8,7 @@ from contextlib import contextmanager
 
 import httpx
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import DEADLINE_S, served
 from support.waiting import until
 from websockets.sync.client import connect
@@ -22,10 +22,9 @@ from daq_service.web.server import bind, serve
 
 @pytest.fixture
 def filled(tmp_path):
-    folder = FilledFolder(tmp_path, Settings())
-    folder.add_set(0, stored=False, shown=True)
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path) as folder:
+        folder.add_set(0, stored=False, shown=True)
+        yield folder
 
 
 def test_port_zero_takes_a_free_port(filled):

@@ -6,7 +6,7 @@ import sys
 from contextlib import ExitStack, contextmanager, suppress
 
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import DEADLINE_S, served
 from support.waiting import until
 
@@ -32,23 +32,10 @@ BLANKS = [
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings())
-    folder.add_set(0, stored=False, shown=True)
-    folder.add_alarm("B", 0)
-    yield folder
-    folder.close()
-
-
-@pytest.fixture(scope="module")
-def service(filled):
-    with served(filled.settings, filled.folder) as running:
-        yield running
-
-
-@pytest.fixture
-def api(service):
-    with service.client() as client:
-        yield client
+    with filled_folder(tmp_path_factory.mktemp("data")) as folder:
+        folder.add_set(0, stored=False, shown=True)
+        folder.add_alarm("B", 0)
+        yield folder
 
 
 # Headers

@@ -5,7 +5,7 @@ from contextlib import contextmanager
 
 import httpx
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import FilledFolder, filled_folder
 from support.served_web import DEADLINE_S, served, served_app, stream_events, take
 
 from daq_service.errors import StorageError
@@ -21,10 +21,8 @@ HEARTBEAT = b'event: heartbeat\ndata: {"interval_s":0.02}\n\n'
 
 @pytest.fixture
 def filled(tmp_path):
-    folder = FilledFolder(tmp_path, Settings())
-    folder.add_set(0, stored=False)
-    yield folder
-    folder.close()
+    with filled_folder(tmp_path, sets=1) as folder:
+        yield folder
 
 
 @pytest.fixture
@@ -89,12 +87,12 @@ def test_resume_works_across_a_restart_of_the_service(filled):
 
 
 def test_only_the_chosen_topics_arrive(filled, service):
-    with connected(service, "?topics=verdicts,thickness&after=0") as events:
+    with connected(service, "?topics=assessments,thickness&after=0") as events:
         filled.add_set(1, stored=False)
-        wanted = stored_ids(filled, ["verdicts", "thickness"])
+        wanted = stored_ids(filled, ["assessments", "thickness"])
         arrived = take(events, len(wanted))
     assert [event.id for event in arrived] == wanted
-    assert {event.event for event in arrived} == {"verdicts", "thickness"}
+    assert {event.event for event in arrived} == {"assessments", "thickness"}
 
 
 def test_a_too_old_event_id_is_a_gap(filled):

@@ -6,7 +6,7 @@ import struct
 
 import numpy as np
 import pytest
-from support.filled_folder import FilledFolder
+from support.filled_folder import filled_folder
 from support.served_web import served
 from support.stored_files import read_set, set_files
 
@@ -17,7 +17,6 @@ from daq_service.assessment.results_in_file import results_in
 from daq_service.background.tiles import rebuild_tiles
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.owner import experiment_identity
-from daq_service.settings.tree import Settings
 from daq_service.web.context import context_of
 from daq_service.web.routes.waterfall import MOST_COLUMNS, MOST_ROWS
 
@@ -27,23 +26,10 @@ MISSED = {4, 5}
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
-    folder = FilledFolder(tmp_path_factory.mktemp("data"), Settings(), shots_per_set=2)
-    for index in range(N_SETS):
-        folder.add_set(index, stored=index not in MISSED)
-    yield folder
-    folder.close()
-
-
-@pytest.fixture(scope="module")
-def service(filled):
-    with served(filled.settings, filled.folder) as running:
-        yield running
-
-
-@pytest.fixture
-def api(service):
-    with service.client() as client:
-        yield client
+    with filled_folder(tmp_path_factory.mktemp("data"), shots_per_set=2) as folder:
+        for index in range(N_SETS):
+            folder.add_set(index, stored=index not in MISSED)
+        yield folder
 
 
 def read(answer):
@@ -199,11 +185,12 @@ def test_a_service_that_closes_reads_no_more_records(filled):
 
 
 def test_without_records_there_is_no_waterfall(tmp_path):
-    folder = FilledFolder(tmp_path, Settings())
-    folder.add_set(0, stored=False)
-    with served(folder.settings, folder.folder) as service, service.client() as client:
+    with (
+        filled_folder(tmp_path, sets=1) as folder,
+        served(folder.settings, folder.folder) as service,
+        service.client() as client,
+    ):
         answer = client.get("/api/v1/waterfall/B")
-    folder.close()
     assert (answer.status_code, answer.content) == (204, b"")
 
 

@@ -47,13 +47,6 @@ def test_every_status_of_the_package_has_its_class(kind):
         assert code.name in str(error)
 
 
-def test_the_tables_name_real_statuses_once():
-    codes = [code for table in TABLES.values() for code in table]
-    assert len(codes) == len(set(codes))
-    known = {code.value for code in DAQmxErrors}
-    assert set(codes) <= known
-
-
 @pytest.mark.parametrize(
     ("code", "expected"),
     [

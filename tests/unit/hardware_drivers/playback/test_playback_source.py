@@ -6,7 +6,6 @@ from support.shots_in_memory import shots_in_memory
 
 from daq_service.clock import SimulatedClock
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
-from hardware_drivers.instruments import Acquired, Echo
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.clock import RecordedClock
 from hardware_drivers.playback.instruments import build_instruments
@@ -33,25 +32,6 @@ def play(instruments, key):
     instruments.digitizer.arm(key)
     instruments.striker.strike(key)
     return instruments.digitizer.read(1.0)
-
-
-def test_nothing_of_a_record_changes():
-    shot = make_shot("B", 0, 41, truth={"depth_fraction": 0.1 + 0.2})
-    acquired = play(build_instruments(shots_in_memory([shot])), shot.key)
-    assert type(acquired) is Acquired
-    assert acquired.waveform is shot.waveform
-    assert acquired.truth == {"depth_fraction": 0.1 + 0.2}
-    assert acquired.settings is shot.settings
-
-
-def test_nothing_of_an_echo_changes():
-    record = make_echo(40)
-    echo = build_instruments(shots_in_memory([record])).pulse_echo.acquire(record.key, 1.0)
-    assert type(echo) is Echo
-    assert echo.waveform is record.waveform
-    assert (echo.gain_db, echo.offset_v, echo.averages) == (31.5, -0.25, 64)
-    assert echo.truth == {"thickness_m": 4.2e-3}
-    assert echo.settings is record.settings
 
 
 def test_an_attempt_that_was_not_recorded_is_a_missed_strike_and_the_next_one_is_played():
@@ -112,16 +92,6 @@ def test_wanted_positions_are_looked_for_at_once_by_name_and_method():
         build_instruments(source, wanted={"B": "pulse_echo"})
     with pytest.raises(ConfigurationError, match="no pulse_echo position 'A'; it has: none"):
         build_instruments(shots_in_memory([]), wanted={"A": "pulse_echo"})
-
-
-def test_a_timeout_must_be_positive():
-    instruments = build_instruments(shots_in_memory([make_shot("B", 0, 1), make_echo(40)]))
-    for call in (
-        lambda: instruments.digitizer.read(0.0),
-        lambda: instruments.pulse_echo.acquire(make_echo(40).key, -1.0),
-    ):
-        with pytest.raises(ConfigurationError, match="timeout_s is"):
-            call()
 
 
 def test_a_shot_in_place_of_an_echo_is_reported():

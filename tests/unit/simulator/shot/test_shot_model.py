@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from simulator.chain.spheres import build_chain
-from simulator.errors import IntegrationError, SimulatorError, SpecimenError
+from simulator.errors import IntegrationError, SpecimenError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.shot import model as shot_model
@@ -112,12 +112,6 @@ def test_a_coarse_step_is_halved_until_energy_balances():
     assert coarse.step_s < 5e-6
     assert coarse.energy_residual <= shot_model.ENERGY_TOLERANCE
     np.testing.assert_allclose(np.diff(coarse.time_s), 5e-6, rtol=1e-9)
-
-
-def test_every_error_is_a_simulator_error():
-    assert issubclass(SpecimenError, SimulatorError)
-    assert issubclass(SpecimenError, ValueError)
-    assert issubclass(IntegrationError, SimulatorError)
 
 
 def test_hole_has_the_same_isw_and_no_reflected_wave(model):

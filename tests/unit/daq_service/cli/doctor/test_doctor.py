@@ -326,33 +326,6 @@ def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path: Path) -
     assert "belongs to the experiment" in other["data folder: configuration"].found
 
 
-def test_a_folder_with_foreign_files_is_rejected(tmp_path: Path) -> None:
-    (tmp_path / "thesis.tex").write_text("precious")
-    found = by_name(storage_checks(Settings(), tmp_path))["data folder: writable"]
-    assert (found.state, "thesis.tex" in found.found) == ("fail", True)
-
-
-def test_a_file_at_the_path_of_the_folder_is_rejected(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("precious")
-    found = by_name(storage_checks(Settings(), tmp_path / "file" / "data"))["data folder: writable"]
-    assert (found.state, "is a file" in found.found) == ("fail", True)
-
-
-def test_a_disk_that_rejects_writing_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def full(handle: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr("daq_service.cli.doctor.storage.os.fsync", full)
-    found = by_name(storage_checks(Settings(), tmp_path))["data folder: writable"]
-    assert found.found == f"{tmp_path} cannot be written: No space left on device"
-
-
-def test_a_network_folder_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("daq_service.cli.doctor.storage.network_filesystem", lambda folder: "nfs4")
-    found = by_name(storage_checks(Settings(), tmp_path))["data folder: place"]
-    assert (found.state, "nfs4" in found.found) == ("fail", True)
-
-
 @pytest.mark.parametrize(
     ("free", "state"), [(10 * 10**9, "ok"), (600 * 10**6, "warn"), (300 * 10**6, "fail")]
 )

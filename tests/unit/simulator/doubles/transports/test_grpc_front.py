@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-import threading
 from collections.abc import Mapping
 from functools import partial
 from typing import Any
@@ -252,38 +251,6 @@ def test_a_task_s_name_is_free_again_even_if_clearing_it_failed(script, channel)
     assert script.asked("DAQmxStartTask") == [{"task": 102}]
 
 
-CLIENT_THAT_IS_KILLED = """
-import sys, grpc, nidaqmx
-from nidaqmx import GrpcSessionOptions
-channel = grpc.insecure_channel(sys.argv[1])
-task = nidaqmx.Task("striker", grpc_options=GrpcSessionOptions(channel, "striker"))
-task.start()
-print("started", flush=True)
-sys.stdin.read()
-"""
-
-
-def test_the_tasks_of_a_killed_client_stay(script):
-    front = GrpcFront(script)
-    try:
-        child = subprocess.Popen(
-            [sys.executable, "-c", CLIENT_THAT_IS_KILLED, front.address],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            text=True,
-        )
-        with child:
-            assert child.stdout.readline() == "started\n"
-            child.kill()
-        assert script.asked("DAQmxClearTask") == []
-        with grpc.insecure_channel(front.address) as channel:
-            attach = named(channel, SessionInitializationBehavior.ATTACH_TO_SERVER_SESSION)
-            nidaqmx.Task("striker", grpc_options=attach).stop()
-        assert script.asked("DAQmxStopTask") == [{"task": 101}]
-    finally:
-        front.close()
-
-
 CLIENT_WITH_A_RECORD = """
 import sys, grpc, nidaqmx
 from nidaqmx import GrpcSessionOptions
@@ -321,32 +288,6 @@ def test_tasks_of_a_killed_client_stay_reserved_until_cleared():
         assert brain.record()["tasks"] == []
         assert brain.record()["reservations"] == {}
     finally:
-        front.close()
-
-
-def test_a_hung_call_ends_at_the_client_s_deadline_and_blocks_no_other_call(script, channel):
-    release, entered = threading.Event(), threading.Event()
-
-    def hang(function, arguments):
-        if function == "DAQmxCreateTask" and arguments["session_name"] == "hung":
-            entered.set()
-            release.wait(30.0)
-        return script(function, arguments)
-
-    front = GrpcFront(hang)
-    try:
-        with grpc.insecure_channel(front.address) as other:
-            stub = nidaqmx_pb2_grpc.NiDAQmxStub(other)
-            request, deadline_s = nidaqmx_pb2.CreateTaskRequest(session_name="hung"), 0.2
-            hung = stub.CreateTask.future(request, timeout=deadline_s)
-            while not entered.wait(deadline_s) and deadline_s < 60.0:  # it ended before a busy server had it
-                deadline_s *= 2.0
-                hung = stub.CreateTask.future(request, timeout=deadline_s)
-            assert entered.is_set()
-            stub.CreateTask(nidaqmx_pb2.CreateTaskRequest(session_name="another"), timeout=10.0)
-            assert hung.exception(timeout=120.0).code() == grpc.StatusCode.DEADLINE_EXCEEDED
-    finally:
-        release.set()
         front.close()
 
 

@@ -4,7 +4,6 @@ import ctypes
 import multiprocessing
 import os
 import re
-import signal
 import subprocess
 import sys
 import textwrap
@@ -16,7 +15,7 @@ import numpy as np
 import pytest
 from support.daqmx_models import running_brain
 from support.doubles_bench import meet
-from support.waiting import WAIT_S, ended, happened, until
+from support.waiting import WAIT_S, ended, happened
 
 from simulator.doubles.chassis.description import default_description
 from simulator.doubles.transports.control import RunningDoubles
@@ -33,8 +32,7 @@ from nidaqmx.constants import (  # noqa: E402
 from nidaqmx.errors import DaqError, DaqFunctionNotSupportedError, DaqReadError, DaqWarning  # noqa: E402
 from nidaqmx.stream_readers import AnalogUnscaledReader  # noqa: E402
 from nidaqmx.system import System  # noqa: E402
-from nidaqmx.system.watchdog import WatchdogTask  # noqa: E402
-from nidaqmx.types import DOExpirationState, DOPowerUpState  # noqa: E402
+from nidaqmx.types import DOPowerUpState  # noqa: E402
 
 SAMPLES, PRETRIGGER = 13_600, 1_000
 
@@ -54,41 +52,6 @@ def coil(board="PXI1Slot3", name="", **times):
     chosen = {"initial_delay": 2e-4, "high_time": 0.006, "low_time": 0.001} | times
     task.co_channels.add_co_pulse_chan_time(f"{board}/ctr0", **chosen)
     return task
-
-
-@pytest.mark.parametrize(
-    ("board", "dtype"), [("PXI1Slot2", np.int32), ("PXI1Slot3", np.int16), ("PXI1Slot4", np.int16)]
-)
-def test_the_whole_order_of_a_shot(meeting, board, dtype):
-    with digitizer(board) as ai, coil(board) as co:
-        ai.control(TaskMode.TASK_COMMIT)
-        co.control(TaskMode.TASK_COMMIT)
-        channel = ai.ai_channels[0]
-        assert ai.timing.samp_clk_rate == 10e6
-        assert (channel.ai_rng_low, channel.ai_rng_high) == (-5.0, 5.0)
-        assert channel.ai_raw_samp_size == 8 * np.dtype(dtype).itemsize
-        assert len(channel.ai_dev_scaling_coeff) == 4
-        assert co.co_channels[0].co_pulse_term.startswith(f"/{board}/")
-        reader, codes = AnalogUnscaledReader(ai.in_stream), np.zeros((1, SAMPLES), dtype)
-        for _ in range(2):
-            ai.start()
-            co.start()
-            ai.wait_until_done(WAIT_S)
-            read = reader.read_int16 if dtype is np.int16 else reader.read_int32
-            assert read(codes, SAMPLES, WAIT_S) == SAMPLES
-            ai.stop()
-            co.stop()
-            scale = np.polynomial.polynomial.polyval(codes[0].astype(float), channel.ai_dev_scaling_coeff)
-            # The level is crossed between these two samples but for 25 mV of noise: six of it.
-            assert scale[PRETRIGGER] == pytest.approx(0.25, abs=0.15)
-            assert scale.max() > 1.0
-        ai.control(TaskMode.TASK_UNRESERVE)
-        co.control(TaskMode.TASK_UNRESERVE)
-        assert meeting.control.record()["reservations"] == {}
-    record = meeting.control.record()
-    assert [event["level"] for event in record["lines"]] == [1, 0, 1, 0]
-    assert record["tasks"] == []
-    assert record["leaked"] == []
 
 
 def test_the_system_and_its_boards_introduce_themselves(meeting):
@@ -129,36 +92,6 @@ def test_power_up_states_travel_in_pairs(meeting):
     assert found["PXI1Slot3/port2/line4"] is PowerUpStates.LOW
     assert found["PXI1Slot3/port2/line5"] is PowerUpStates.HIGH
     assert found["PXI1Slot3/port1/line0"] is PowerUpStates.TRISTATE
-
-
-def test_a_watchdog_guards_digital_lines_under_their_flattened_names(meeting):
-    lines = ["PXI1Slot3/port2/line4", "PXI1Slot3/port2/line5", "PXI1Slot3/port1/line0"]
-    states = [Level.LOW, Level.HIGH, Level.HIGH]
-    with WatchdogTask("PXI1Slot3", "watchdog", timeout=0.01) as watchdog:
-        watchdog.cfg_watchdog_do_expir_states(
-            [
-                DOExpirationState(physical_channel=line, expiration_state=state)
-                for line, state in zip(lines, states, strict=True)
-            ]
-        )
-        watchdog.start()
-        until(lambda: watchdog.expired, "a watchdog of 10 ms expired")
-        watchdog.clear_expiration()
-        assert watchdog.expired is False
-        watchdog.stop()
-        with pytest.raises(DaqError) as caught:
-            _ = watchdog.expired
-        assert caught.value.error_code == -200983
-        with pytest.raises(DaqError, match="line8") as caught:
-            watchdog.cfg_watchdog_do_expir_states([DOExpirationState("PXI1Slot3/port2/line8", Level.LOW)])
-        assert caught.value.error_code == -200170
-    events = meeting.control.record()["lines"]
-    serial = 0x01E16086
-    assert {(event["line"], event["level"], event["cause"]) for event in events} == {
-        (f"{serial}/PFI13", 1, "watchdog"),
-        (f"{serial}/PFI0", 1, "watchdog"),
-    }
-    System.local().devices["PXI1Slot3"].reset_device()
 
 
 def test_routes_are_made_and_undone(meeting):
@@ -221,15 +154,6 @@ def test_a_read_that_comes_too_early_leaves_the_buffer_as_it_was(meeting):
             ai.stop()
 
 
-def test_an_injected_status_is_returned(meeting):
-    meeting.control.inject("DAQmxStartTask", "error", code=-88710)
-    with coil() as co:
-        with pytest.raises(DaqError) as caught:
-            co.start()
-        assert caught.value.error_code == -88710
-        assert meeting.control.record()["lines"] == []
-
-
 def test_threads_keep_their_own_last_error(meeting):
     """A hanging call in one thread neither keeps another one from calling nor mixes up its text."""
     meeting.control.inject("DAQmxSelfCal", "hang", nth=1)
@@ -257,16 +181,6 @@ def test_threads_keep_their_own_last_error(meeting):
 
 def c_library(folder):
     return ctypes.CDLL(str(folder / SONAMES["nidaqmx"]))
-
-
-def test_the_last_error_s_text_belongs_to_its_thread(meeting, double_library):
-    library, text = c_library(double_library), ctypes.create_string_buffer(2048)
-    assert library.DAQmxSelfCal(b"NoSuch1") == -200220
-    thread = threading.Thread(target=library.DAQmxSelfCal, args=(b"NoSuch2",))
-    thread.start()
-    ended(thread, "the other thread's call came back")
-    assert library.DAQmxGetExtendedErrorInfo(text, 2048) == 0
-    assert b"Device Specified: NoSuch1" in text.value
 
 
 @pytest.mark.parametrize(("room", "status", "written"), [(8, 0, 8), (3, -200234, 3), (0, 8, 0)])
@@ -338,21 +252,6 @@ def test_two_processes_share_the_boards_and_see_each_other(meeting, double_libra
             assert caught.value.error_code == -50103
     finally:
         end(other)
-
-
-def test_a_killed_process_leaves_nothing_driven(meeting, double_library):
-    other = other_process(meeting, double_library, "start")
-    try:
-        assert meeting.control.record()["levels"]["31547526/PFI12"] == 1
-        other.send_signal(signal.SIGKILL)
-        happened(meeting.control.wait_until_no_tasks, "the double heard of the client's death")
-    finally:
-        end(other)
-    record = meeting.control.record()
-    assert record["levels"]["31547526/PFI12"] == 0
-    assert record["reservations"] == {}
-    (leak,) = record["leaked"]
-    assert (leak["task"], leak["state"]) == ("the other's coil", "running")
 
 
 def test_a_forked_child_is_a_separate_client(meeting):

@@ -65,18 +65,6 @@ def test_modes_above_the_cut_stay_as_residual_compliance():
     assert yielding.residual_compliance_m_per_n == pytest.approx(1.25, rel=1e-15)
 
 
-def test_more_vectors_change_nothing_that_counts(plate, reduction):
-    more = reduce_plate(plate, basis=tuple((depth, 60) for depth in (0.0, 0.3, 0.6, 0.8, 0.9, 0.95))).modes(
-        0.8
-    )
-    usual = reduction.modes(0.8)
-    s = 1e4 + 2j * np.pi * 2e4
-    usual_response, more_response = (
-        np.sum(m.participation**2 / (m.omega_rad_per_s**2 + s**2)) for m in (usual, more)
-    )
-    assert abs(usual_response - more_response) <= USUAL_ERROR * abs(more_response)
-
-
 def test_thin_rectangular_clamped_plates_reduce_too():
     plate = build_plate(
         replace(PLATE, width_m=0.3, height_m=0.9, thickness_m=1e-3, support="clamped"), CorrosionParameters()

@@ -222,14 +222,6 @@ def test_depth_factor_of_the_only_patch_rescales_the_depth():
     assert half != pytest.approx(dynamic_compliance(PLATE, PATCH, depth=0.8), rel=1e-2)
 
 
-def test_a_patch_next_to_the_contact_counts_less_than_one_below_it():
-    below, next_to_it, none = (
-        dynamic_compliance(PLATE, replace(PATCH, offset_x_m=offset), depth=depth, frequency_hz=0.0)
-        for offset, depth in ((0.0, 0.8), (0.06, 0.8), (0.06, 0.0))
-    )
-    assert none < next_to_it < 0.5 * (none + below)
-
-
 @pytest.mark.parametrize(
     ("further", "message"),
     [
