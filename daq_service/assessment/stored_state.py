@@ -50,14 +50,14 @@ def state_rows(
 
 def state_of(kind: type[S], rows: Iterable[AssessorStateRow]) -> S:
     """Return the state that rows keep."""
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     for row in rows:
         values |= json.loads(row.state)
     decoded: S = _decoded(kind, values)
     return decoded
 
 
-def _encoded(value: Any) -> Any:
+def _encoded(value: object) -> object:
     if isinstance(value, np.ndarray):
         assert value.flags.c_contiguous, "in another order sums would be rounded otherwise"
         content = base64.b64encode(value.tobytes()).decode()
@@ -91,5 +91,5 @@ def _decoded(kind: Any, value: Any) -> Any:
 
 
 @cache
-def _hints(kind: type) -> dict[str, Any]:
+def _hints(kind: type) -> dict[str, object]:
     return get_type_hints(kind)

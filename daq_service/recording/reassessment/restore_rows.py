@@ -392,7 +392,7 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
     return shots, features
 
 
-def _finite_or_none(value: Any) -> float | None:
+def _finite_or_none(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
