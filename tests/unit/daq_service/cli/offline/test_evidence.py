@@ -150,14 +150,14 @@ def test_a_baseline_without_later_sets_is_reported_at_each_position(line, hours,
     assert [(item["position"], item["last_set_index"], item["last_set"]) for item in not_assessed] == unjudged
     for item in not_assessed:
         position, last_set = item["position"], item["last_set"]
-        assert item["told"] == (
+        assert item["description"] == (
             f"nothing is judged at {position}: baseline.hours = {hours:g} makes the sets 0 to "
             f"{item['last_set_index']} the baseline, and the last one there is set {last_set}; "
             "give fewer hours"
         )
     output = solimon_here("replay", str(line.folder), "--set", f"baseline.hours={hours}", env={}).stdout
     assert [text for text in output.splitlines() if "nothing is judged" in text] == [
-        item["told"] for item in not_assessed
+        item["description"] for item in not_assessed
     ]
 
 
@@ -288,7 +288,7 @@ def test_a_different_stored_value_is_reported_with_both_values(changed_line, lin
     )
     assert difference["stored"] == 1.0
     assert difference["again"] > 1.0
-    assert "what is stored differs in the 1 points" in explanation["told"]
+    assert "what is stored differs in the 1 points" in explanation["description"]
 
 
 @pytest.mark.parametrize(
