@@ -42,7 +42,7 @@ def state_rows(
                 baseline_id=baseline_id,
                 configuration_hash=configuration_hash,
                 format=STATE_FORMAT,
-                state=json.dumps(_encoded(values), separators=(",", ":")),
+                state=json.dumps(values, default=_encoded, separators=(",", ":")),
             )
         )
     return rows
@@ -50,25 +50,21 @@ def state_rows(
 
 def state_of(kind: type[S], rows: Iterable[AssessorStateRow]) -> S:
     """Return the state that rows keep."""
-    values: dict[str, Any] = {}
+    values: dict[str, object] = {}
     for row in rows:
         values |= json.loads(row.state)
     decoded: S = _decoded(kind, values)
     return decoded
 
 
-def _encoded(value: Any) -> Any:
+def _encoded(value: object) -> object:
     if isinstance(value, np.ndarray):
         assert value.flags.c_contiguous, "in another order sums would be rounded otherwise"
         content = base64.b64encode(value.tobytes()).decode()
         return {"dtype": value.dtype.str, "shape": value.shape, "base64": content}
     if is_dataclass(value):
-        return {item.name: _encoded(getattr(value, item.name)) for item in fields(value) if item.init}
-    if isinstance(value, Mapping):
-        return {name: _encoded(item) for name, item in value.items()}
-    if isinstance(value, tuple | list):
-        return [_encoded(item) for item in value]
-    return value
+        return {item.name: getattr(value, item.name) for item in fields(value) if item.init}
+    raise TypeError(f"a state has no {type(value)}")
 
 
 def _decoded(kind: Any, value: Any) -> Any:
@@ -95,5 +91,5 @@ def _decoded(kind: Any, value: Any) -> Any:
 
 
 @cache
-def _hints(kind: type) -> dict[str, Any]:
+def _hints(kind: type) -> dict[str, object]:
     return get_type_hints(kind)

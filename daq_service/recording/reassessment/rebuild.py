@@ -13,6 +13,7 @@ from pathlib import Path
 
 from daq_service.acquisition.taken_set import features_of
 from daq_service.archive import FolderSetReader
+from daq_service.archive.waterfall.tiles import TILES_FOLDER
 from daq_service.assessment.results_in_file import results_in
 from daq_service.background.tiles import rebuild_tiles
 from daq_service.catalogue import open_catalogue
@@ -28,6 +29,7 @@ from daq_service.catalogue.experiment_file import keep_experiment, refuse_anothe
 from daq_service.catalogue.history import History, HistoryFollower
 from daq_service.catalogue.owner import experiment_identity, refuse_other_experiment
 from daq_service.catalogue.salvage import Salvaged, read_sound_rows
+from daq_service.catalogue.store import open_for_a_while
 from daq_service.processes.lost_catalogue import read_folder_history
 from daq_service.recording.experiment import kept_experiment, refuse_foreign
 from daq_service.recording.reassessment.restore_rows import (
@@ -115,7 +117,7 @@ def rebuild(
     try:
         shutil.rmtree(place, ignore_errors=True)
         place.mkdir()
-        with open_catalogue(place, writer=True) as catalogue:
+        with open_for_a_while(place) as catalogue:  # `_replace` makes the complete file durable
             catalogue.restore([experiment, *orders.values()])
             its_settings = stored_settings(experiment.configuration)
             found = restore_rows(its_settings, experiment, archive, catalogue, stored, progress, features_of)
@@ -130,7 +132,9 @@ def rebuild(
         ) from error
     finally:
         shutil.rmtree(place, ignore_errors=True)
-    not_tiled = _update_copies(folder, progress)
+    # Tiles follow from set files and features: those of unchanged sets stay.
+    tiles_are_valid = not found.computed and (folder / TILES_FOLDER).is_dir()
+    not_tiled = _update_copies(folder, None if tiles_are_valid else progress)
     return Rebuilt(
         experiment=experiment.name,
         sets=found.sets,
@@ -170,12 +174,14 @@ def _sync(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _update_copies(folder: Path, progress: Progress) -> list[str]:
-    """Update experiment.json, history and tiles to the new catalogue; return what the tiles lack."""
+def _update_copies(folder: Path, progress: Progress | None) -> list[str]:
+    """Update experiment.json, history and tiles (None: not these); return what the tiles lack."""
     with open_catalogue(folder, writer=True) as catalogue:
         experiment = catalogue.experiment_row()
         keep_experiment(folder, experiment)
         HistoryFollower(folder, catalogue).begin()
+        if progress is None:
+            return []
         results = partial(results_in, catalogue)
         return rebuild_tiles(
             folder, experiment_identity(experiment), catalogue.files_but_of(()), results, progress

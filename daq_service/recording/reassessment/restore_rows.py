@@ -97,6 +97,8 @@ class Restored:
 
     Attributes
     ----------
+    sets, computed
+        Numbers of sets with a file, and of those that were assessed from their records.
     damaged
         Sets that cannot be read completely: their rows are those of the history.
     foreign
@@ -106,6 +108,7 @@ class Restored:
     """
 
     sets: int = 0
+    computed: int = 0
     damaged: list[str] = field(default_factory=list)
     foreign: list[str] = field(default_factory=list)
     differing: list[str] = field(default_factory=list)
@@ -291,6 +294,7 @@ class _Restoration:
                 self._follow(transaction)
         self._commit(transaction, self._placed(computed, events, free), computed_alarms=not events)
         self._result.sets += 1
+        self._result.computed += 1
 
     def _digest(self, reference: SetReference) -> str | None:
         found, expected = self._archive.digest(reference), self._history.digests.get(reference)
@@ -388,7 +392,7 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
     return shots, features
 
 
-def _finite_or_none(value: Any) -> float | None:
+def _finite_or_none(value: float | None) -> float | None:
     return value if value is not None and math.isfinite(value) else None
 
 
