@@ -3,7 +3,7 @@
 ::
 
     / NXroot            @default=entry @creator @solimon_format_version
-    /entry NXentry      @default=preview, title, start_time, program_name, set_index, purpose, due_h, ...
+    /entry NXentry      @default=preview, title, start_time, experiment_identifier, ..., purpose, due_h, ...
       instrument/<group>      NXdetector: sample rate, range, calibration polynomial (the truth)
       <position>_waveforms    NXdata: waveform[shot, sample] in counts, time, shot_time, shot_id
       <position>_pulse_echo   NXdata: the same with record[shot, sample], gain, offset, averages
@@ -43,7 +43,7 @@ from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform, purpos
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.units import unit_of
 
-FORMAT_VERSION = "1.4"
+FORMAT_VERSION = "1.5"
 """Raised in its first number when an older reader would misunderstand the file."""
 RESULTS = {"features": "shot_id", "set_features": "position", "thickness": "position"}
 """Tables of a set's results, each with its key column."""
@@ -157,6 +157,8 @@ def _add_facts(entry: Node, record: SetRecord) -> None:
     add_field(entry, "start_time", format_utc(record.started_utc_ns))
     add_field(entry, "end_time", format_utc(record.ended_utc_ns))
     add_field(entry, "entry_identifier_uuid", str(uuid.uuid5(uuid.NAMESPACE_OID, identity)))
+    if test_uuid := provenance.get("experiment", {}).get("uuid"):
+        add_field(entry, "experiment_identifier", test_uuid)
     add_field(entry, "program_name", "solimon", version=_version(record), configuration=configuration_hash)
     add_field(entry, "set_index", np.int64(record.set_index))
     add_field(entry, "purpose", purpose_of(record.set_index))

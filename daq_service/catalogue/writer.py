@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+import uuid
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -130,6 +131,7 @@ class RecorderCatalogue(Catalogue):
         epoch_utc_ns: int,
         clock: str,
         solimon_version: str,
+        site: str | None = None,
     ) -> ExperimentRow:
         """Store the experiment of this folder, or check the stored one, and return its row.
 
@@ -146,6 +148,8 @@ class RecorderCatalogue(Catalogue):
             epoch_utc_ns=epoch_utc_ns,
             clock=clock,
             solimon_version=solimon_version,
+            uuid=str(uuid.uuid4()),
+            site=site,
         )
         with self._writing("beginning the experiment") as connection:
             if connection.execute(select(experiment.c.id)).first() is None:
