@@ -111,8 +111,9 @@ def _run_on(
         return EXIT_INTERRUPTED
     summary = summarise_run(settings, folder)
     elapsed_s = time.time() - started_s
-    if summary["cost"] is not None:  # starting Python, opening the test, and this summary
-        summary["cost"]["other_processes_s"] = round(elapsed_s - seconds_of(summary["cost"]), 3)
+    cost = summary["cost"]
+    if isinstance(cost, dict):  # starting Python, opening the test, and this summary
+        cost["other_processes_s"] = round(elapsed_s - seconds_of(cost), 3)
     result = {**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}
     lines = [*summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
     print_result(result, lines, as_json=as_json)
