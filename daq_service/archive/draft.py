@@ -57,7 +57,7 @@ class Node:
         return self.draft[-1]
 
     @property
-    def structure(self) -> tuple[Any, ...]:
+    def structure(self) -> tuple[object, ...]:
         """Everything that the skeleton depends on."""
         shape = self.stored and (self.stored[0].dtype.str, self.stored[0].shape)
         return self.path, shape, self.chunk, self.axes, self.is_axis, self.link, self.attributes
@@ -80,7 +80,7 @@ def add_group(
 def add_field(
     parent: Node,
     name: str,
-    values: Any,
+    values: object,
     *,
     chunk: tuple[int, ...] | None = None,
     axes: Sequence[Node] = (),

@@ -11,7 +11,7 @@ from typing import Any
 
 from daq_service.catalogue import check_owner
 from daq_service.cli.run import STOPPED, child_plans, report_full_disk
-from daq_service.cli.summary import summarise_run, summary_lines
+from daq_service.cli.summary import seconds_of, summarise_run, summary_lines
 from daq_service.cli.terminal import ProgressReport, open_page
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import log_to, stop_on_signals
@@ -111,6 +111,9 @@ def _run_on(
         return EXIT_INTERRUPTED
     summary = summarise_run(settings, folder)
     elapsed_s = time.time() - started_s
+    cost = summary["cost"]
+    if isinstance(cost, dict):  # starting Python, opening the test, and this summary
+        cost["other_processes_s"] = round(elapsed_s - seconds_of(cost), 3)
     result = {**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}
     lines = [*summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
     print_result(result, lines, as_json=as_json)

@@ -45,6 +45,11 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, object]:
         }
 
 
+def seconds_of(cost: dict[str, float]) -> float:
+    """Return the sum of the stages of a run."""
+    return sum(value for name, value in cost.items() if name != "sets")
+
+
 def _cost(catalogue: Catalogue) -> dict[str, float] | None:
     """Return the wall time by stage of the recorder's last run; None if it did not end normally."""
     rows = [row for row in catalogue.rows(EventRow, topic="service") if "cost" in row.payload]
@@ -152,7 +157,8 @@ def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
             for name, value in summary["cost"].items()
             if name != "sets"
         )
-        yield f"seconds of the recorder's last run: {', '.join(stages)}"
+        total_s = seconds_of(summary["cost"])
+        yield f"seconds of the recorder's last run: {', '.join(stages)}; together {total_s:.1f}"
     yield f"files: {folder / 'sets'}"
 
 

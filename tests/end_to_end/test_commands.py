@@ -148,6 +148,8 @@ def test_demo_prints_one_object_with_all_documented_keys(two_hours: tuple[Path, 
     _, result = two_hours
     assert (result["sets"], result["shots"], result["missed_sets"]) == (4, 60, 0)
     assert 0.0 < result["elapsed_s"] < LIMIT_S
+    stages_s = sum(value for name, value in result["cost"].items() if name != "sets")
+    assert stages_s == pytest.approx(result["elapsed_s"], abs=1e-3 * len(result["cost"]))  # each is rounded
     assert list(result["positions"]) == ["A", "B", "C", "D"]
     keys = {
         "first_alarm_h",
