@@ -108,7 +108,7 @@ def assess_run(run: Run) -> Outcome:
             )
         if position_result.baseline is not None:
             n_baseline = position_result.baseline.n_sets
-        if first_alarm_h is None and found.raised & {"wall_change", "hole"}:
+        if first_alarm_h is None and found.raised & {"wall_change", "no_reflection"}:
             first_alarm_h = found.due.due_h
             depth_at_alarm = specimen.walls[run.position].at(found.hour_h).depth_fraction
     assessed_rows = [row for row in assessments.values() if row.outlier is not None]
@@ -116,10 +116,10 @@ def assess_run(run: Run) -> Outcome:
     for row in assessed_rows:
         states.append(next_alarm_state(states[-1], row.outlier, rule))
     standing = {
-        "chart": [bool(row.chart_alarm) for row in assessed_rows],
+        "chart": [bool(row.mewma_alarm) for row in assessed_rows],
         "k_of_n": [state.active for state in states[1:]],
         "alarm": [raised[row.set_index] for row in assessed_rows],
-        "alarm, WALL": [raised[row.set_index] and row.cause == WALL for row in assessed_rows],
+        "alarm, WALL": [raised[row.set_index] and row.diagnosis == WALL for row in assessed_rows],
     }
     if run.why:
         standing |= alarms_of_other_designs(
@@ -133,7 +133,7 @@ def assess_run(run: Run) -> Outcome:
         depth_at_alarm=depth_at_alarm,
         assessed_rows=len(assessed_rows),
         outliers=sum(row.outlier is True for row in assessed_rows),
-        outliers_paper=sum(row.outlier_paper is True for row in assessed_rows),
+        outliers_paper=sum(row.outlier_mean_3sd is True for row in assessed_rows),
         n_baseline=n_baseline,
         sd_percent=dict(zip((*FEATURE_NAMES, "isw_amplitude_v"), sd_percent.tolist(), strict=True)),
         raised_h={name: onsets(assessed_rows, stands) for name, stands in standing.items()},

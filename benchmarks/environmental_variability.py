@@ -41,7 +41,7 @@ def run(level: str, seed: int, position: str, hours: float) -> dict[str, Any]:
         if assessed.due.due_h <= settings.baseline.hours:
             row = assessed.position_result.features[-1]
             baseline.append([getattr(row, name) for name in FEATURE_NAMES])
-        if first_alarm_h is None and assessed.raised & {"wall_change", "hole"}:
+        if first_alarm_h is None and assessed.raised & {"wall_change", "no_reflection"}:
             first_alarm_h = assessed.due.due_h
     after_h = settings.baseline.hours if position == "D" else AFTER_H
     late = [row for row in assessments.values() if row.due_h > after_h and row.outlier is not None]
@@ -53,7 +53,7 @@ def run(level: str, seed: int, position: str, hours: float) -> dict[str, Any]:
         "strikes": strikes,
         "judged": len(late),
         "f_percent": 100.0 * float(np.mean([row.outlier for row in late])) if late else None,
-        "paper_percent": 100.0 * float(np.mean([row.outlier_paper for row in late])) if late else None,
+        "paper_percent": 100.0 * float(np.mean([row.outlier_mean_3sd for row in late])) if late else None,
         "first_alarm_h": first_alarm_h,
         "sd_percent": (100.0 * table.std(axis=0, ddof=1) / np.abs(table.mean(axis=0))).tolist(),
         "eigenvalues": np.linalg.eigvalsh(np.corrcoef(table.T))[::-1].tolist(),

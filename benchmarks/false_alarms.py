@@ -45,7 +45,7 @@ def assess_healthy(task: tuple[str, int, int]) -> dict[str, float]:
     name, n, seed = task
     found = assessed_sequence(healthy(name, n + FIVE_YEARS, np.random.default_rng([seed, n])), n)
     rates = {limit: 100.0 * found.count[limit] / FIVE_YEARS for limit in LIMITS}
-    return {**rates, "alarms": len(found.onsets), "not promised": bool(found.why_not_guaranteed)}
+    return {**rates, "alarms": len(found.onsets), "not promised": bool(found.rate_not_verified_reason)}
 
 
 def delay_sets(task: tuple[str, int, int]) -> float:

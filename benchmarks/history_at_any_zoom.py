@@ -41,14 +41,14 @@ from hardware_drivers.nanoseconds import NS_PER_H
 SETS, SETS_A_COMMIT, SHOTS = 1_000_000, 500, 7
 """Set, mean features, assessment and seven shots: ten rows per set."""
 INTERVAL_H = 0.1
-FIELDS = ("tof_pp_s", "distance_squared", "limit_f", "outlier")
+FIELDS = ("tof_pp_s", "distance_squared", "limit_f_predictive", "outlier")
 """What a chart of the dashboard asks for."""
 OUTLIER_EVERY = 9973
 PERIOD_S = 0.05
 GROUPED = """
 SELECT v.set_index / :width, min(f.tof_pp_s), max(f.tof_pp_s), avg(f.tof_pp_s),
        min(v.distance_squared), max(v.distance_squared), avg(v.distance_squared), max(v.outlier), count(*)
-FROM features f JOIN verdicts v ON v.position = f.position AND v.set_index = f.set_index
+FROM features f JOIN assessments v ON v.position = f.position AND v.set_index = f.set_index
 WHERE f.position = 'B' AND f.shot_index IS NULL AND f.set_index BETWEEN :first AND :last
 GROUP BY 1
 """
@@ -83,7 +83,7 @@ def add_set(commit: SetCommit, index: int, rng: np.random.Generator) -> None:
     commit.assessments.append(
         AssessmentRow(
             **own, due_h=due_h, in_baseline=index < 48, distance_squared=400.0 if outlier else distance,
-            limit_name="f_predictive", limit_f=24.3, outlier=None if index < 48 else outlier,
+            limit_name="f_predictive", limit_f_predictive=24.3, outlier=None if index < 48 else outlier,
         )
     )  # fmt: skip
     for shot in range(SHOTS):

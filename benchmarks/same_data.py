@@ -2,7 +2,8 @@
 
     python benchmarks/same_data.py FOLDER OTHER [--json]
 
-Left out: wall times, versions, the machine and its readings, and what a run cost. Exit code 1 where anything
+Names of earlier versions count as current ones (`daq_service.catalogue.earlier_names`). Left out: wall times,
+versions, the machine and its readings, what a run cost, values that came later. Exit code 1 where anything
 differs.
 """
 
@@ -19,7 +20,28 @@ from typing import Any
 import h5py
 import numpy as np
 
-TIMELESS = {"wall_utc_ns", "finished_wall_utc_ns", "created_utc_ns", "solimon_version", "configuration_hash"}
+from daq_service.catalogue.earlier_names import COLUMNS, current_row
+
+RENAMED_TABLES = {"assessments": "assessments"}
+RENAMED_COLUMNS = COLUMNS
+"""Current names of the columns of each table by their earlier ones; nested keys and values follow."""
+ADDED = {"uuid", "site", "interval_low_m", "interval_high_m", "experiment_identifier"}
+"""Columns and datasets that came later."""
+DERIVED = {"trend_blocks"}
+"""Tables that are computed from the others, with a column more or less."""
+TIMELESS = ADDED | {
+    "row_crc32",
+    "finished_wall_utc_ns",
+    "created_utc_ns",
+    "solimon_version",
+    "configuration_hash",
+}
+NESTED = {
+    "events": ("payload",),
+    "alarms": ("evidence", "evidence"),
+    "baselines": ("baseline_quality", "baseline_quality"),
+}
+"""Columns with nested keys, by either name."""
 OF_THE_RUN = {"cost", "versions", "created_utc_ns"}
 """Parts of an event's payload that describe the run, not the test."""
 
@@ -31,20 +53,29 @@ def rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
         names = [
             name
             for (name,) in connection.execute("select name from sqlite_master where type = 'table'")
-            if not name.startswith(("sqlite_", "alembic_"))
+            if not name.startswith(("sqlite_", "alembic_")) and name not in DERIVED
         ]
         tables = {
-            name: [
-                {key: row[key] for key in row.keys() if key not in TIMELESS}  # noqa: SIM118 sqlite3.Row iterates values
+            RENAMED_TABLES.get(name, name): [
+                current_values(RENAMED_TABLES.get(name, name), dict(row))
                 for row in connection.execute(f"select * from {name} order by 1")
             ]
             for name in sorted(names)
         }
     tables["events"] = [event for event in tables["events"] if event["topic"] != "machine"]
     for event in tables["events"]:
-        payload = json.loads(event["payload"])
-        event["payload"] = {key: value for key, value in payload.items() if key not in OF_THE_RUN}
+        event["payload"] = {
+            key: value for key, value in event["payload"].items() if key not in OF_THE_RUN | ADDED
+        }
     return tables
+
+
+def current_values(table: str, row: dict[str, Any]) -> dict[str, Any]:
+    """Return the values of a row by current names, those of JSON columns as objects."""
+    for name in NESTED.get(table, ()):
+        if row.get(name) is not None:
+            row[name] = json.loads(row[name])
+    return {name: value for name, value in current_row(table, row).items() if name not in TIMELESS}
 
 
 def datasets(folder: Path) -> Iterator[tuple[str, bytes, str]]:
@@ -53,7 +84,11 @@ def datasets(folder: Path) -> Iterator[tuple[str, bytes, str]]:
         found: list[tuple[str, bytes, str]] = []
 
         def visit(name: str, item: Any, of_file: str = path.name, into: list[Any] = found) -> None:
-            if isinstance(item, h5py.Dataset) and not name.startswith("entry/provenance"):
+            if (
+                isinstance(item, h5py.Dataset)
+                and not name.startswith("entry/provenance")
+                and name.rpartition("/")[2] not in ADDED
+            ):
                 attributes = {key: np.asarray(value).tolist() for key, value in sorted(item.attrs.items())}
                 content = np.asarray(item[()])
                 # Strings of any length are held as pointers, which no two runs share.

@@ -113,7 +113,7 @@ def main() -> int:
         print(json.dumps({**report, "passed": passed}))
         return 0 if passed else 1
     print(
-        f"shots to verdicts: {line_s:.2f} s of processor for {strikes} strikes, "
+        f"shots to assessments: {line_s:.2f} s of processor for {strikes} strikes, "
         f"{1e3 * line_s / strikes:.3f} ms each"
     )
     for level, ratio in report["ratios"].items():

@@ -149,10 +149,10 @@ def _chart_and_diagnosis_columns(drawn: list[float]) -> dict[str, Any]:
     )
     return {
         "cause": cause.cause,
-        "cause_probability": cause.probability,
-        "cause_told": diagnosis_details(cause),
+        "diagnosis_probability": cause.probability,
+        "diagnosis_details": diagnosis_details(cause),
         "chart": abs(drawn[1]),
-        "chart_alarm": False,
+        "mewma_alarm": False,
         "limits": {name: 24.3 + abs(drawn[2]) for name in LIMITS},
         "statistics": {limit.of: abs(drawn[3]) for limit in LIMITS.values()},
         "averages": {AVERAGE: drawn, CHART: drawn},
@@ -231,14 +231,14 @@ def _add_set(
             in_baseline=due.set_index < 48,
             distance_squared=5.0,
             limit_name="f_predictive",
-            limit_f=24.3,
-            limit_paper=12.1,
+            limit_f_predictive=24.3,
+            limit_mean_3sd=12.1,
             outlier=None if due.set_index < 48 else False,
             contributions={"tof_pp_s": 1.0, "tof_ac_s": 1.0, "amplitude_ratio": 1.0},
             **({} if due.set_index < 48 else _chart_and_diagnosis_columns(values[number].tolist())),
         )
         commit.assessments.append(assessment)
-        _add_event(commit, due, "verdicts", "set_judged", assessment)
+        _add_event(commit, due, "assessments", "set_assessed", assessment)
     environment = EnvironmentRow(
         set_index=due.set_index, due_h=due.due_h, supply_state="on", supply_quality="good", supply_age_s=0.5,
         voltage_v=10.0, current_a=0.005, charge_coulomb=18.0 * due.due_h, climate_quality="good",
@@ -248,9 +248,10 @@ def _add_set(
     _add_event(commit, due, "environment", "environment_read", environment)
     if due.set_index % ALARM_EVERY == 0:
         alarm = AlarmRow(
-            position="P01", kind="no_data", family="device", severity="medium", raised_utc_ns=due.due_utc_ns,
+            position="P01", kind="few_valid_shots", alarm_class="diagnostic", priority="medium",
+            raised_utc_ns=due.due_utc_ns, evidence={},
             state="unacknowledged" if due.set_index > 0.98 * SETS else "normal", raised_h=due.due_h,
-            raised_set_index=due.set_index, changed_utc_ns=due.due_utc_ns, message="2 sets running", proof={},
+            raised_set_index=due.set_index, changed_utc_ns=due.due_utc_ns, message="2 sets running",
         )  # fmt: skip
         commit.alarms.append(alarm)
         _add_event(commit, due, "alarms", "alarm_raised", alarm)
@@ -369,7 +370,7 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
         "features": [*hours, *named, f"set_index={index}", f"set_index={index}&{named[0]}",
                      *(f"scope=shot&{part}" for part in (*named, *hours))],
         "thickness": [*hours, *named, f"set_index={index}"],
-        "verdicts": [*hours, *named, f"set_index={index}"],
+        "assessments": [*hours, *named, f"set_index={index}"],
         "environment": hours,
         "alarms": ["active=true", "active=false", named[0]],
         "baselines": [named[0]],
@@ -505,7 +506,7 @@ def measure(folder: Path, n_sets: int, rounds: int) -> dict[str, Any]:
         print(f"a history of {(folder / HISTORY_FILE).stat().st_size / 1e9:.2f} GB was "
               f"brought up to date in {time.perf_counter() - began:.1f} s", file=sys.stderr)  # fmt: skip
     with closing(sqlite3.connect(folder / "catalogue.sqlite")) as connection:
-        names = ("sets", "shots", "features", "verdicts", "thickness", "environment", "events", "alarms")
+        names = ("sets", "shots", "features", "assessments", "thickness", "environment", "events", "alarms")
         rows = {name: connection.execute(f"SELECT count(*) FROM {name}").fetchone()[0] for name in names}
     status = times_s(lambda: describe_status(folder, settings), FEWEST_A_ROUND * rounds)
     starts = [start_s(folder, settings) for _ in range(STARTS)]

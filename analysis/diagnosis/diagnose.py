@@ -28,7 +28,7 @@ from analysis.diagnosis.state import (
 )
 from analysis.waves.record_reduction import FloatArray
 
-UNDETERMINED = "cannot tell"
+UNDETERMINED = "undetermined"
 STATED = 0.9
 """Least probability of a cause that is named."""
 WALL_STATED = 0.96

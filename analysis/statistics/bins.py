@@ -27,7 +27,7 @@ _JOINED_BY = MappingProxyType(
         "n_outliers": np.add,
         "first_outlier": np.minimum,
         "n_judged_paper": np.add,
-        "n_outliers_paper": np.add,
+        "n_outliers_mean_3sd": np.add,
         "n_in_baseline": np.add,
         "n_alarms": np.add,
         "first_alarm": np.minimum,
@@ -52,7 +52,7 @@ def bins_of_sets(
     quality: Sequence[int | None],
     missed: Sequence[bool],
     outlier: Sequence[bool | None],
-    outlier_paper: Sequence[bool | None],
+    outlier_mean_3sd: Sequence[bool | None],
     in_baseline: Sequence[bool],
     n_alarms: Sequence[int],
 ) -> NDArray[np.void]:
@@ -64,7 +64,7 @@ def bins_of_sets(
         Shape (n, n_values); NaN where a set has none.
     quality
         The greater, the worse; None: nothing was measured.
-    outlier, outlier_paper
+    outlier, outlier_mean_3sd
         None: not assessed.
     """
     index, numbers = np.asarray(set_index, dtype=np.float64), np.asarray(values, dtype=np.float64)
@@ -77,9 +77,9 @@ def bins_of_sets(
     worst = np.asarray(quality, dtype=np.float64)
     bins["n_sets"], bins["worst_quality"] = np.isfinite(worst), np.where(np.isfinite(worst), worst, -np.inf)
     bins["n_missed"], bins["n_in_baseline"], bins["n_alarms"] = missed, in_baseline, n_alarms
-    beyond, beyond_paper = (np.asarray(flags, dtype=np.float64) for flags in (outlier, outlier_paper))
+    beyond, beyond_paper = (np.asarray(flags, dtype=np.float64) for flags in (outlier, outlier_mean_3sd))
     bins["n_judged"], bins["n_outliers"] = np.isfinite(beyond), beyond == 1.0
-    bins["n_judged_paper"], bins["n_outliers_paper"] = np.isfinite(beyond_paper), beyond_paper == 1.0
+    bins["n_judged_paper"], bins["n_outliers_mean_3sd"] = np.isfinite(beyond_paper), beyond_paper == 1.0
     bins["first_outlier"] = np.where(beyond == 1.0, index, np.inf)
     bins["first_alarm"] = np.where(bins["n_alarms"] > 0.0, index, np.inf)
     return bins

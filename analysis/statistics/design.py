@@ -59,7 +59,7 @@ class Design:
         By name (`named_limits.LIMITS`).
     phi_pooled, n_eff
         Memory from set to set, and how many independent sets the baseline's are worth.
-    why_not_guaranteed
+    rate_not_verified_reason
         Why the chart's rate of false alarms is not promised; empty: it is.
     """
 
@@ -69,7 +69,7 @@ class Design:
     limits: Mapping[str, float]
     phi_pooled: float
     n_eff: float
-    why_not_guaranteed: str
+    rate_not_verified_reason: str
 
 
 def design_of(
@@ -102,7 +102,7 @@ def design_of(
         limits=limits_of(facts),
         phi_pooled=phi,
         n_eff=effective_sets(baseline.n, phi),
-        why_not_guaranteed=unverified_rate_reason(history),
+        rate_not_verified_reason=unverified_rate_reason(history),
     )
 
 

@@ -1,7 +1,7 @@
 """All limits by name: the meaning of each, the statistic it bounds, and its computation from a baseline.
 
-A further limit is a function and an entry here: it is computed, stored with baselines and verdicts, and shown
-wherever limits are listed.
+A further limit is a function and an entry here: it is computed, stored with baselines and
+assessments, and shown wherever limits are listed.
 """
 
 from __future__ import annotations

@@ -54,7 +54,7 @@ class Assessed:
         Rows after the baseline beyond each limit, and the first of them.
     onsets
         Rows at which the default chart alarms.
-    why_not_guaranteed
+    rate_not_verified_reason
         Empty where the chart keeps to its budget.
     distances_squared, mewma_textbook, mcusum_textbook, chart
         Shape (rows,), NaN where there is none.
@@ -78,7 +78,7 @@ class Assessed:
     first: Mapping[str, int | None] = field(default_factory=dict)
     default_reason: str = ""
     onsets: tuple[int, ...] = ()
-    why_not_guaranteed: str = ""
+    rate_not_verified_reason: str = ""
     chart_limit: float = 0.0
     distances_squared: FloatArray = field(default_factory=lambda: np.empty(0))
     mewma_textbook: FloatArray = field(default_factory=lambda: np.empty(0))
@@ -203,7 +203,7 @@ def _assess(
         first={name: int(found[0]) if found.size else None for name, found in beyond.items()},
         default_reason=design.by_default.reason,
         onsets=tuple(int(assessed[row]) for row in onsets),
-        why_not_guaranteed=design.why_not_guaranteed,
+        rate_not_verified_reason=design.rate_not_verified_reason,
         chart_limit=design.chart.limit,
         distances_squared=statistics[DISTANCE],
         mewma_textbook=statistics[AVERAGE],

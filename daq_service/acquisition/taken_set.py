@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields, replace
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.take_set import Measurement, MissedShot, MissReason, ProgressOfSet
 from daq_service.archive import MissedRecord, OpenSet, SetRecord
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.measurement import PulseEchoRecord, Shot, purpose_of
+from hardware_drivers.instruments import Acquired
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform, purpose_of
 
 log = logging.getLogger(__name__)
 
@@ -146,8 +147,32 @@ def _at(item: Shot | PulseEchoRecord | MissedShot | MissedRecord, position: str)
     return item.key.position == position
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AnalysedWaveform(Waveform):
+    """A waveform that comes with its features, computed by the process that computed the waveform."""
+
+    features: ShotFeatures
+
+
+def analysed(acquired: Sequence[Acquired | None]) -> list[Acquired | None]:
+    """Extract the features of records together; where one fails, all come without."""
+    waveforms = [one.waveform for one in acquired if one is not None]
+    try:
+        features = iter(extract_all(waveforms))
+    except Exception:  # noqa: BLE001 the recorder tries each alone, and logs the one that fails
+        return list(acquired)
+
+    def with_features(waveform: Waveform) -> AnalysedWaveform:
+        parts = {part.name: getattr(waveform, part.name) for part in fields(waveform)}
+        return AnalysedWaveform(**parts, features=next(features))
+
+    return [one and replace(one, waveform=with_features(one.waveform)) for one in acquired]
+
+
 def features_of(shot: Shot) -> ShotFeatures:
     """Extract the features of a shot; a shot that cannot be analysed is flagged."""
+    if isinstance(shot.waveform, AnalysedWaveform):
+        return shot.waveform.features
     try:
         return extract_features(shot.waveform)
     except Exception:  # a fault of the analysis must never stop the acquisition; it is logged whole

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from daq_service.alarms.states import Condition
 
-CLOCK_DOUBTED = "clock_doubted"
+CLOCK_UNVERIFIED = "clock_unverified"
 
 
 def doubt_condition(reason: str) -> Condition:
@@ -16,8 +16,8 @@ def doubt_condition(reason: str) -> Condition:
         Why the system's clock is unverified; empty if it is verified.
     """
     return Condition(
-        kind=CLOCK_DOUBTED,
-        severity="high",
+        kind=CLOCK_UNVERIFIED,
+        priority="high",
         present=bool(reason),
         message=f"{reason}; the test waits until it is set, or trusted with `solimon trust-clock`",
     )

@@ -29,11 +29,11 @@ def damage_condition(
     if set_aside:
         messages.append(f"set aside because of damage: {', '.join(set_aside)}; remove what nobody needs")
     return Condition(
-        kind="data_damaged",
-        severity="high" if damaged else "medium",
+        kind="data_corrupt",
+        priority="high" if damaged else "medium",
         present=bool(set_aside or damaged),
         message="; ".join(messages),
-        proof={"set_aside": list(set_aside), "damaged": dict(damaged)},
+        evidence={"set_aside": list(set_aside), "damaged": dict(damaged)},
     )
 
 
@@ -42,7 +42,7 @@ def _sentence(fault: str) -> str:
 
 
 def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition:
-    """Return the condition of low disk space; its severity rises when storing stops.
+    """Return the condition of low disk space; its priority rises when storing stops.
 
     Parameters
     ----------
@@ -52,7 +52,7 @@ def space_condition(free_space: str, *, present: bool, stops: bool) -> Condition
     consequence = "nothing more is stored until some is freed" if stops else "soon nothing more is stored"
     return Condition(
         kind="disk_space",
-        severity="high" if stops else "medium",
+        priority="high" if stops else "medium",
         present=present,
         message=f"{free_space}: {consequence}; free some, or take other data off the volume",
     )
@@ -67,8 +67,8 @@ def storage_condition(message: str, *, present: bool, waits_in: str = "memory") 
         Error message of the disk or the operating system.
     """
     return Condition(
-        kind="storage_unavailable",
-        severity="high",
+        kind="write_failed",
+        priority="high",
         present=present,
         message=f"the disk refuses, what is taken waits in the {waits_in} and is stored by itself once it "
         f"takes data again: {message}",

@@ -22,7 +22,7 @@ def recorder_condition(finding: str, hour: float) -> Condition:
     action = "Read `logs/`, then run `solimon run`."
     return Condition(
         kind=RECORDER_NOT_RUNNING,
-        severity="high",
+        priority="high",
         present=bool(finding),
         message=f"{message} {action}",
     )
@@ -40,7 +40,7 @@ def web_condition(hour: float, *, present: bool) -> Condition:
     action = "Read `logs/`, then restart `solimon serve`."
     return Condition(
         kind=WEB_NOT_RESPONDING,
-        severity="medium",
+        priority="medium",
         present=present,
         message=f"{message} {action}",
     )

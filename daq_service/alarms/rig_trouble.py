@@ -47,20 +47,20 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
     if error not in PASSING and not proven:
         outlook = "the recorder has stopped: mend the cause and start it again; it goes on with the schedule"
     return Condition(
-        kind="rig_unavailable",
-        severity="high",
+        kind="instruments_unavailable",
+        priority="high",
         present=bool(trouble or unanswered),
         message=f"set {due.set_index} {event}: {message}; {outlook}",
-        proof={"set_index": due.set_index, "error": error},
+        evidence={"set_index": due.set_index, "error": error},
     )
 
 
 def opening_condition(trouble: InstrumentError | None) -> Condition:
     """Return the condition of a started test that waits for its rig to open; its evidence has no set."""
     return Condition(
-        kind="rig_unavailable",
-        severity="high",
+        kind="instruments_unavailable",
+        priority="high",
         present=trouble is not None,
         message=f"the rig cannot be opened: {trouble}; the recorder tries again until it can",
-        proof={"error": type(trouble).__name__},
+        evidence={"error": type(trouble).__name__},
     )

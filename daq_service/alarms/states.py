@@ -14,7 +14,7 @@ An alarm may also be suppressed: shelved for a limited time, or out of service u
 state changes as usual meanwhile (`without_expired_shelf`).
 
 A latched alarm (a hole does not heal) returns to normal only by a person's reset.
-Severity is kept at the highest reached until the alarm is acknowledged.
+Priority is kept at the highest reached until the alarm is acknowledged.
 Delays and deadbands are in `delays`.
 """
 
@@ -25,28 +25,28 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from daq_service.catalogue.rows import AlarmRow, AlarmState, Family, Severity, Suppression
+from daq_service.catalogue.rows import AlarmClass, AlarmRow, AlarmState, Priority, Suppression
 from hardware_drivers.nanoseconds import NS_PER_H
 
-SEVERITIES: tuple[Severity, ...] = ("low", "medium", "high", "critical")
+PRIORITIES: tuple[Priority, ...] = ("low", "medium", "high", "critical")
 AFTER_ACKNOWLEDGEMENT: Mapping[str, AlarmState] = {
     "unacknowledged": "acknowledged",
     "returned_unacknowledged": "normal",
 }
 """States that wait for an operator, and the state after the acknowledgement."""
 SUPPRESSION = (
-    *("suppressed", "suppressed_by", "suppressed_because"),
+    *("suppressed", "suppressed_by", "suppressed_reason"),
     *("shelved_until_utc_ns", "shelved_until_wall_utc_ns"),
 )
 """Columns of an alarm about its suppression."""
 NOT_SUPPRESSED: Mapping[str, Any] = MappingProxyType(dict.fromkeys(SUPPRESSION))
 LONGEST_SHELF_H = 72.0
 """Maximum time of a shelf: a weekend."""
-RETIRING = ("hole", "retired")
+RETIRING = ("no_reflection", "transducer_disabled")
 """Kinds of alarm that stop a transducer's strikes until a person reinstates it."""
 ALARMS_OF_CHANGE = ("wall_change", "transducer_change")
 """Kinds of alarm with the result of a confirmation set in their evidence; the diagnosis selects one."""
-NOT_ASSESSED = "not_judged"
+NOT_ASSESSED = "not_assessed"
 """Kind of alarm of a baseline without limits, and status of a position that is not assessed."""
 
 
@@ -65,14 +65,14 @@ class Condition:
 
     position: str | None = None
     kind: str
-    family: Family = "device"
-    severity: Severity
+    alarm_class: AlarmClass = "diagnostic"
+    priority: Priority
     present: bool
     message: str
     latched: bool = False
     times_limit: float | None = None
     known: str = ""
-    proof: Mapping[str, Any] = field(default_factory=dict)
+    evidence: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -133,17 +133,17 @@ def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change
         if row.state == "returned_unacknowledged":
             updated = _updated_columns(row, condition)
             return _change_state(
-                row, "unacknowledged", moment, "alarm_returned", cleared_utc_ns=None, **updated
+                row, "unacknowledged", moment, "alarm_reactivated", cleared_utc_ns=None, **updated
             )
-        is_more_severe = SEVERITIES.index(condition.severity) > SEVERITIES.index(row.severity)
-        if is_more_severe or condition.known not in ("", row.proof.get("known")):
+        is_more_severe = PRIORITIES.index(condition.priority) > PRIORITIES.index(row.priority)
+        if is_more_severe or condition.known not in ("", row.evidence.get("known")):
             return _change_state(
                 row,
                 "unacknowledged",
                 moment,
-                "alarm_worsened",
+                "alarm_priority_raised",
                 **_updated_columns(row, condition),
-                # The shelf does not cover the new severity or diagnosis.
+                # The shelf does not cover the new priority or diagnosis.
                 **(NOT_SUPPRESSED if row.suppressed == "shelved" else {}),
             )
         return None
@@ -202,9 +202,11 @@ def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
     return replace(change, author=author)
 
 
-def add_evidence(row: AlarmRow, proof: Mapping[str, object], moment: Moment) -> Change:
+def add_evidence(row: AlarmRow, evidence: Mapping[str, object], moment: Moment) -> Change:
     """Add later results to the evidence of an alarm; its state does not change."""
-    return _change_state(row, row.state, moment, "alarm_proof_added", proof=row.proof | dict(proof))
+    return _change_state(
+        row, row.state, moment, "alarm_evidence_added", evidence=row.evidence | dict(evidence)
+    )
 
 
 def without_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> AlarmRow:
@@ -250,7 +252,7 @@ def shelve(row: AlarmRow, author: str, reason: str, for_h: float, moment: Moment
         "alarm_shelved",
         suppressed="shelved",
         suppressed_by=author,
-        suppressed_because=reason,
+        suppressed_reason=reason,
         shelved_until_utc_ns=moment.utc_ns + length_ns,
         shelved_until_wall_utc_ns=wall_utc_ns + length_ns,
     )
@@ -265,12 +267,12 @@ def take_out_of_service(row: AlarmRow, author: str, reason: str, moment: Moment)
         It is out of service already.
     """
     if row.suppressed == "out_of_service":
-        raise ValueError(f"alarm {row.id} is out of service already: {row.suppressed_because}")
+        raise ValueError(f"alarm {row.id} is out of service already: {row.suppressed_reason}")
     columns = {
         **NOT_SUPPRESSED,
         "suppressed": "out_of_service",
         "suppressed_by": author,
-        "suppressed_because": reason,
+        "suppressed_reason": reason,
     }
     return _change_state(row, row.state, moment, "alarm_out_of_service", **columns)
 
@@ -287,7 +289,7 @@ def end_suppression(row: AlarmRow, wanted: Suppression, author: str, note: str, 
         raise ValueError(f"alarm {row.id} is not {wanted.replace('_', ' ')}")
     event_kind = "alarm_unshelved" if wanted == "shelved" else "alarm_in_service"
     # The name of the person who ended it stays in the row until the next suppression.
-    columns = {**NOT_SUPPRESSED, "suppressed_by": author, "suppressed_because": note or None}
+    columns = {**NOT_SUPPRESSED, "suppressed_by": author, "suppressed_reason": note or None}
     return _change_state(row, row.state, moment, event_kind, **columns)
 
 
@@ -295,26 +297,26 @@ def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
     return AlarmRow(
         position=condition.position,
         kind=condition.kind,
-        family=condition.family,
-        severity=condition.severity,
+        alarm_class=condition.alarm_class,
+        priority=condition.priority,
         state="unacknowledged",
         raised_utc_ns=moment.utc_ns,
         raised_h=moment.due_h,
         raised_set_index=moment.set_index,
         changed_utc_ns=moment.utc_ns,
         message=condition.message,
-        proof=_evidence_of(condition),
+        evidence=_evidence_of(condition),
     )
 
 
 def _updated_columns(row: AlarmRow, condition: Condition) -> dict[str, Any]:
-    """Return severity, message and evidence of an existing alarm, updated with its condition."""
-    severity = max(row.severity, condition.severity, key=SEVERITIES.index)
-    return {"severity": severity, "message": condition.message, "proof": _evidence_of(condition)}
+    """Return priority, message and evidence of an existing alarm, updated with its condition."""
+    priority = max(row.priority, condition.priority, key=PRIORITIES.index)
+    return {"priority": priority, "message": condition.message, "evidence": _evidence_of(condition)}
 
 
 def _evidence_of(condition: Condition) -> dict[str, Any]:
-    return dict(condition.proof) | ({"known": condition.known} if condition.known else {})
+    return dict(condition.evidence) | ({"known": condition.known} if condition.known else {})
 
 
 def _change_state(

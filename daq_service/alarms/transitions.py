@@ -12,11 +12,11 @@ _WHO_AND_WHY: Mapping[str, tuple[str, str]] = {
     "alarm_reset": ("acknowledged_by", "note"),
     **dict.fromkeys(
         ("alarm_shelved", "alarm_unshelved", "alarm_out_of_service", "alarm_in_service"),
-        ("suppressed_by", "suppressed_because"),
+        ("suppressed_by", "suppressed_reason"),
     ),
 }
 """Columns of person and reason by kind of event; other transitions are caused by no person."""
-_BY_THEMSELVES = ("alarm_raised", "alarm_returned", "alarm_worsened")
+_BY_THEMSELVES = ("alarm_raised", "alarm_reactivated", "alarm_priority_raised")
 
 
 def transition(event: EventRow) -> dict[str, Any]:
@@ -29,7 +29,7 @@ def transition(event: EventRow) -> dict[str, Any]:
         "utc_ns": event.utc_ns,
         "wall_utc_ns": event.wall_utc_ns,
         "state": payload.get("state"),
-        "severity": payload.get("severity"),
+        "priority": payload.get("priority"),
         "suppressed": payload.get("suppressed"),
         "who": payload.get("author") or payload.get(who),
         "why": payload.get("message") if event.kind in _BY_THEMSELVES else payload.get(why),

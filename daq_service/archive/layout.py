@@ -3,7 +3,7 @@
 ::
 
     / NXroot            @default=entry @creator @solimon_format_version
-    /entry NXentry      @default=preview, title, start_time, program_name, set_index, purpose, due_h, ...
+    /entry NXentry      @default=preview, title, start_time, experiment_identifier, ..., purpose, due_h, ...
       instrument/<group>      NXdetector: sample rate, range, calibration polynomial (the truth)
       <position>_waveforms    NXdata: waveform[shot, sample] in counts, time, shot_time, shot_id
       <position>_pulse_echo   NXdata: the same with record[shot, sample], gain, offset, averages
@@ -34,26 +34,16 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-from h5py.h5d import DatasetID
-from h5py.h5g import GroupID
 from numpy.typing import NDArray
 
-from daq_service.archive.nexus import (
-    add_field,
-    add_group,
-    add_hard_link,
-    image_file,
-    image_of,
-    open_root,
-    set_attributes,
-)
+from daq_service.archive.draft import Node, add_field, add_group, image_of_draft, new_draft
 from daq_service.archive.records import SetRecord, waveform_crc32
 from daq_service.clock import format_utc
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform, purpose_of
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.units import unit_of
 
-FORMAT_VERSION = "1.4"
+FORMAT_VERSION = "1.5"
 """Raised in its first number when an older reader would misunderstand the file."""
 RESULTS = {"features": "shot_id", "set_features": "position", "thickness": "position"}
 """Tables of a set's results, each with its key column."""
@@ -95,32 +85,30 @@ class _RecordGroup:
 def build_image(record: SetRecord) -> bytes:
     """Return the bytes of the set's file; equal sets give equal bytes."""
     groups = _group_records(record.records)
-    with image_file() as file:
-        set_attributes(
-            open_root(file),
-            {
-                "NX_class": "NXroot",
-                "default": "entry",
-                "creator": "solimon",
-                "creator_version": _version(record),
-                "file_time": format_utc(record.ended_utc_ns),
-                "solimon_format_version": FORMAT_VERSION,
-            },
-        )
-        entry = add_group(file, "entry", "NXentry", {"default": "preview"})
-        _add_facts(entry, record)
-        _add_detectors(entry, record, groups)
-        _add_records(entry, record, groups)
-        _add_facts_of_records(entry, record, "truth")
-        _add_facts_of_records(entry, record, "settings")
-        _add_shots(entry, record)
-        _add_missed(entry, record)
-        _add_positions(entry, record)
-        _add_environment(entry, record)
-        _add_results(entry, record)
-        _add_preview(entry, groups)
-        _add_provenance(entry, record)
-        return image_of(file)
+    root = new_draft(
+        {
+            "NX_class": "NXroot",
+            "default": "entry",
+            "creator": "solimon",
+            "creator_version": _version(record),
+            "solimon_format_version": FORMAT_VERSION,
+        },
+        {"file_time": format_utc(record.ended_utc_ns)},
+    )
+    entry = add_group(root, "entry", "NXentry", {"default": "preview"})
+    _add_facts(entry, record)
+    _add_detectors(entry, record, groups)
+    _add_records(entry, record, groups)
+    _add_facts_of_records(entry, record, "truth")
+    _add_facts_of_records(entry, record, "settings")
+    _add_shots(entry, record)
+    _add_missed(entry, record)
+    _add_positions(entry, record)
+    _add_environment(entry, record)
+    _add_results(entry, record)
+    _add_preview(entry, groups)
+    _add_provenance(entry, record)
+    return image_of_draft(root)
 
 
 def _version(record: SetRecord) -> str:
@@ -158,7 +146,7 @@ def _group_records(records: Sequence[Record]) -> list[_RecordGroup]:
     return groups
 
 
-def _add_facts(entry: GroupID, record: SetRecord) -> None:
+def _add_facts(entry: Node, record: SetRecord) -> None:
     """Add title, times, identifiers and purpose of the set."""
     provenance = record.provenance
     configuration_hash = str(provenance.get("configuration_hash", ""))
@@ -169,6 +157,8 @@ def _add_facts(entry: GroupID, record: SetRecord) -> None:
     add_field(entry, "start_time", format_utc(record.started_utc_ns))
     add_field(entry, "end_time", format_utc(record.ended_utc_ns))
     add_field(entry, "entry_identifier_uuid", str(uuid.uuid5(uuid.NAMESPACE_OID, identity)))
+    if test_uuid := provenance.get("experiment", {}).get("uuid"):
+        add_field(entry, "experiment_identifier", test_uuid)
     add_field(entry, "program_name", "solimon", version=_version(record), configuration=configuration_hash)
     add_field(entry, "set_index", np.int64(record.set_index))
     add_field(entry, "purpose", purpose_of(record.set_index))
@@ -179,7 +169,7 @@ def _add_facts(entry: GroupID, record: SetRecord) -> None:
         add_field(entry, name, np.int64(getattr(record, name)), units="ns", start=_EPOCH)
 
 
-def _add_detectors(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
+def _add_detectors(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
     """Add an NXdetector with sampling and calibration for each group."""
     serial_numbers = {position.position: position.serial_number for position in record.positions}
     instrument = add_group(entry, "instrument", "NXinstrument")
@@ -214,9 +204,9 @@ def _nexus_scale(waveform: Waveform) -> tuple[float, float]:
     return slope, constant / slope if slope else 0.0
 
 
-def _add_records(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
+def _add_records(entry: Node, record: SetRecord, groups: Sequence[_RecordGroup]) -> None:
     """Add an NXdata with counts, time axis and shot ids for each group."""
-    time_axes: dict[tuple[float, int, int], tuple[GroupID, DatasetID]] = {}
+    time_axes: dict[tuple[float, int, int], Node] = {}
     start = format_utc(record.due_utc_ns)
     for group in groups:
         signal = "record" if group.is_echo else "waveform"
@@ -234,7 +224,7 @@ def _add_records(entry: GroupID, record: SetRecord, groups: Sequence[_RecordGrou
             np.array([(shot.stamp.utc_ns - record.due_utc_ns) / NS_PER_S for shot in group.records]),
             is_axis=True,
             units="s",
-            start=start,
+            own_attributes={"start": start},
         )
         counts = group.counts
         add_field(
@@ -264,14 +254,14 @@ def _int64(numbers: Iterable[int]) -> NDArray[np.int64]:
 
 
 def _add_time_axis(
-    data: GroupID,
+    data: Node,
     group: _RecordGroup,
-    time_axes: dict[tuple[float, int, int], tuple[GroupID, DatasetID]],
-) -> DatasetID:
+    time_axes: dict[tuple[float, int, int], Node],
+) -> Node:
     """Add the time axis; groups with equal sampling share it by a hard link."""
     if group.sampling in time_axes:
-        source, axis = time_axes[group.sampling]
-        add_hard_link(data, "time", source, "time")
+        axis = time_axes[group.sampling]
+        data.add("time", {}, link=axis.path)
         return axis
     axis = add_field(
         data,
@@ -282,11 +272,11 @@ def _add_time_axis(
         description="time from trigger",
         target=f"/entry/{group.name}/time",
     )
-    time_axes[group.sampling] = data, axis
+    time_axes[group.sampling] = axis
     return axis
 
 
-def _add_facts_of_records(entry: GroupID, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
+def _add_facts_of_records(entry: Node, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
     """Add a group per position with a column per fact; ``known`` marks the records that have it."""
     for position in record.positions:
         records = [shot for shot in record.records if shot.key.position == position.position]
@@ -299,18 +289,18 @@ def _add_facts_of_records(entry: GroupID, record: SetRecord, kind: Literal["trut
         )
         axis = add_field(group, "shot_id", _int64(shot.sequence for shot in records), is_axis=True)
         for name in names:
-            is_known = [name in fact for fact in facts]
-            is_text = any(isinstance(fact.get(name), str) for fact in facts)
-            if is_text:
-                field = add_field(group, name, [str(fact.get(name, "")) for fact in facts], axes=[axis])
+            values = [fact.get(name) for fact in facts]
+            if str in map(type, values):
+                texts = ["" if value is None else str(value) for value in values]
+                field = add_field(group, name, texts, axes=[axis])
             else:
-                values = np.array([fact.get(name, np.nan) for fact in facts], dtype=np.float64)
-                field = add_field(group, name, values, axes=[axis], units=unit_of(name))
-            if not all(is_known):
-                set_attributes(field, {"known": np.array(is_known, dtype=np.uint8)})
+                numbers = np.array(values, dtype=np.float64)  # None becomes NaN
+                field = add_field(group, name, numbers, axes=[axis], units=unit_of(name))
+            if None in values:
+                field.attributes["known"] = np.array([value is not None for value in values], dtype=np.uint8)
 
 
-def _add_missed(entry: GroupID, record: SetRecord) -> None:
+def _add_missed(entry: Node, record: SetRecord) -> None:
     """Add a table of the strikes and echoes without a record."""
     if not record.missed:
         return
@@ -324,7 +314,7 @@ def _add_missed(entry: GroupID, record: SetRecord) -> None:
     add_column("cause", [item.cause for item in record.missed])
 
 
-def _add_environment(entry: GroupID, record: SetRecord) -> None:
+def _add_environment(entry: Node, record: SetRecord) -> None:
     """Add supply and climate values of the set."""
     known = {name: value for name, value in record.environment.items() if value is not None}
     if not known:
@@ -337,7 +327,7 @@ def _add_environment(entry: GroupID, record: SetRecord) -> None:
             add_field(group, name, np.float64(value), units=unit_of(name))
 
 
-def _add_shots(entry: GroupID, record: SetRecord) -> None:
+def _add_shots(entry: Node, record: SetRecord) -> None:
     """Add a table with key, time stamps, checksum, flags and outcome of each record."""
     records = record.records
     table = add_group(entry, "shots", "NXcollection")
@@ -372,7 +362,7 @@ def _add_shots(entry: GroupID, record: SetRecord) -> None:
     )
 
 
-def _add_positions(entry: GroupID, record: SetRecord) -> None:
+def _add_positions(entry: Node, record: SetRecord) -> None:
     """Add a table of planned and taken records per position."""
     positions = record.positions
     positions_of_records = [shot.key.position for shot in record.records]
@@ -385,7 +375,7 @@ def _add_positions(entry: GroupID, record: SetRecord) -> None:
     add_column("n_taken", _int64(positions_of_records.count(row.position) for row in positions))
 
 
-def _add_results(entry: GroupID, record: SetRecord) -> None:
+def _add_results(entry: Node, record: SetRecord) -> None:
     """Add the tables of results, if there are any."""
     for table, axis_name in RESULTS.items():
         columns = {name: list(values) for name, values in record.results.get(table, {}).items()}
@@ -397,7 +387,7 @@ def _add_results(entry: GroupID, record: SetRecord) -> None:
         for name, values in sorted(columns.items()):
             field = add_field(group, name, _column(values), axes=[axis])
             if not isinstance(values[0], str):
-                set_attributes(field, {"units": unit_of(name)})
+                field.attributes["units"] = unit_of(name)
 
 
 def _column(values: list[float | str]) -> Any:
@@ -405,7 +395,7 @@ def _column(values: list[float | str]) -> Any:
     return values if isinstance(values[0], str) else np.array(values)
 
 
-def _add_preview(entry: GroupID, groups: Sequence[_RecordGroup]) -> None:
+def _add_preview(entry: Node, groups: Sequence[_RecordGroup]) -> None:
     """Add mean, min and max volts over the shots at a few samples of each transducer.
 
     One NXdata has one time axis, so it holds the groups that are sampled like the first transducer.
@@ -454,7 +444,7 @@ def _envelope(group: _RecordGroup, starts: NDArray[np.int64]) -> dict[str, NDArr
     return {kind: calibrate(values).astype(np.float32) for kind, values in reduced.items()}
 
 
-def _add_provenance(entry: GroupID, record: SetRecord) -> None:
+def _add_provenance(entry: Node, record: SetRecord) -> None:
     """Add the provenance as JSON."""
     text = json.dumps(dict(record.provenance), allow_nan=False, sort_keys=True)
     note = add_group(entry, "provenance", "NXnote")

@@ -43,15 +43,14 @@ _LONGEST_TEXT_BYTES = 4096
 """Names and units are far shorter; any number of attributes may lead to the same text."""
 
 Attribute = str | int | float | Sequence[str] | np.generic | NDArray[Any]
+Stored = tuple[NDArray[Any], h5t.TypeID]
+"""Values in the form in which they are stored, and their HDF5 type."""
 
 
 @contextmanager
 def image_file() -> Iterator[h5f.FileID]:
     """Create an empty HDF5 file in memory and close it at the end."""
-    access = h5p.create(h5p.FILE_ACCESS)
-    access.set_fapl_core(_BLOCK_BYTES, False)
-    # The oldest format with checksums everywhere, up to what tools of the last ten years read.
-    access.set_libver_bounds(h5f.LIBVER_V18, h5f.LIBVER_V110)
+    access = _in_memory()
     creation = h5p.create(h5p.FILE_CREATE)
     creation.set_obj_track_times(False)
     # HDF5 identifies open files by name, those in memory too; the name is not stored.
@@ -60,6 +59,15 @@ def image_file() -> Iterator[h5f.FileID]:
         yield file
     finally:
         file.close()
+
+
+def _in_memory() -> h5p.PropFAID:
+    """Return the access properties of files in memory."""
+    access = h5p.create(h5p.FILE_ACCESS)
+    access.set_fapl_core(_BLOCK_BYTES, False)
+    # The oldest format with checksums everywhere, up to what tools of the last ten years read.
+    access.set_libver_bounds(h5f.LIBVER_V18, h5f.LIBVER_V110)
+    return access
 
 
 def open_root(file: h5f.FileID) -> h5g.GroupID:
@@ -73,8 +81,8 @@ def image_of(file: h5f.FileID) -> bytes:
     return bytes(file.get_file_image())
 
 
-def opened_image(image: bytes, *, is_own: bool = False) -> h5f.FileID:
-    """Open the bytes of a file in memory for reading; the caller closes it.
+def opened_image(image: bytes, *, is_own: bool = False, writable: bool = False) -> h5f.FileID:
+    """Open the bytes of a file in memory, for reading unless ``writable``; the caller closes it.
 
     Parameters
     ----------
@@ -86,11 +94,11 @@ def opened_image(image: bytes, *, is_own: bool = False) -> h5f.FileID:
     OSError
         It is damaged, or no plain file (`daq_service.archive.plain`).
     """
-    require_finite_heaps(image)
-    access = h5p.create(h5p.FILE_ACCESS)
-    access.set_fapl_core(_BLOCK_BYTES, False)
+    if not is_own:
+        require_finite_heaps(image)
+    access = _in_memory()
     access.set_file_image(image)
-    file = h5f.open(uuid.uuid4().hex.encode(), h5f.ACC_RDONLY, fapl=access)
+    file = h5f.open(uuid.uuid4().hex.encode(), h5f.ACC_RDWR if writable else h5f.ACC_RDONLY, fapl=access)
     try:
         if not is_own:
             require_plain(file, len(image))
@@ -128,8 +136,13 @@ def add_group(
     parent: h5g.GroupID, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
 ) -> h5g.GroupID:
     """Add a group of a NeXus class."""
+    return create_group(parent, name, {"NX_class": nx_class, **(attributes or {})})
+
+
+def create_group(parent: h5g.GroupID, name: str, attributes: Mapping[str, Attribute]) -> h5g.GroupID:
+    """Add a group with attributes."""
     group = h5g.create(parent, name.encode(), gcpl=_group_properties())
-    set_attributes(group, {"NX_class": nx_class, **(attributes or {})})
+    set_attributes(group, attributes)
     return group
 
 
@@ -156,15 +169,26 @@ def add_field(
     is_axis
          Make it a dimension scale for other datasets.
     """
-    array, data_type, space = _to_stored_form(values)
-    if chunk is None and array.nbytes > _LARGEST_COMPACT_BYTES and array.ndim:
-        chunk = array.shape
-    if chunk is None:
-        dataset = h5d.create(parent, name.encode(), data_type, space, dcpl=_compact_properties())
-        dataset.write(h5s.ALL, h5s.ALL, array, mtype=data_type)
-    else:
-        dataset = h5d.create(parent, name.encode(), data_type, space, dcpl=_chunked_properties(chunk))
-        write_chunks(dataset, array, chunk)
+    stored = to_stored_form(values)
+    dataset = create_field(parent, name, stored, chunk, axes, is_axis, attributes)
+    fill_field(dataset, stored, chunk)
+    return dataset
+
+
+def create_field(
+    parent: h5g.GroupID,
+    name: str,
+    stored: Stored,
+    chunk: tuple[int, ...] | None,
+    axes: Sequence[h5d.DatasetID],
+    is_axis: bool,
+    attributes: Mapping[str, Attribute],
+) -> h5d.DatasetID:
+    """Add a dataset as `add_field` does, but without its values."""
+    array, data_type = stored
+    chunk = _chunk_of(array, chunk)
+    properties = _compact_properties() if chunk is None else _chunked_properties(chunk)
+    dataset = h5d.create(parent, name.encode(), data_type, _space(array.shape), dcpl=properties)
     if array.dtype.kind == "S":
         # Else xarray returns bytes (netCDF's convention for text of fixed length).
         attributes = {"_Encoding": "utf-8", **attributes}
@@ -174,6 +198,21 @@ def add_field(
     for dimension, axis in enumerate(axes):
         h5ds.attach_scale(dataset, axis, dimension)
     return dataset
+
+
+def fill_field(dataset: h5d.DatasetID, stored: Stored, chunk: tuple[int, ...] | None) -> None:
+    """Write all values of a dataset."""
+    array, data_type = stored
+    chunk = _chunk_of(array, chunk)
+    if chunk is None:
+        dataset.write(h5s.ALL, h5s.ALL, array, mtype=data_type)
+    else:
+        write_chunks(dataset, array, chunk)
+
+
+def _chunk_of(array: NDArray[Any], chunk: tuple[int, ...] | None) -> tuple[int, ...] | None:
+    """Return the chunk of an array, by default all of a large one; None if it is stored compact."""
+    return array.shape if chunk is None and array.nbytes > _LARGEST_COMPACT_BYTES and array.ndim else chunk
 
 
 def write_chunks(dataset: h5d.DatasetID, array: NDArray[Any], chunk: tuple[int, ...]) -> None:
@@ -199,8 +238,8 @@ def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str,
             attribute = h5a.create(target, name.encode(), _variable_text(), _space(text.shape))
             attribute.write(text, mtype=_number_type(_TEXT))
         else:
-            array, data_type, space = _to_stored_form(value)
-            h5a.create(target, name.encode(), data_type, space).write(array, mtype=data_type)
+            array, data_type = to_stored_form(value)
+            h5a.create(target, name.encode(), data_type, _space(array.shape)).write(array, mtype=data_type)
 
 
 def add_hard_link(parent: h5g.GroupID, name: str, source_parent: h5g.GroupID, source_name: str) -> None:
@@ -214,26 +253,26 @@ def _variable_text() -> h5t.TypeID:
     return h5t.py_create(_TEXT, logical=True)
 
 
-def _to_stored_form(values: object) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
-    """Return array, HDF5 type and space: UTF-8 strings of fixed length, little-endian numbers."""
+def to_stored_form(values: object) -> Stored:
+    """Return array and HDF5 type: UTF-8 strings of fixed length, little-endian numbers."""
     if isinstance(values, str):
         return _stored_text(values)
     if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
         array = np.array([text.encode() for text in values], dtype=np.bytes_)
         if array.itemsize < 2:
             array = array.astype("S2")  # netCDF readers take S1 for letters of one text
-        return array, _text_type(array.itemsize), _space(array.shape)
+        return array, _text_type(array.itemsize)
     array = np.asarray(values)
     if not (array.dtype.str.startswith(_AS_STORED) and array.flags.c_contiguous):
         array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
-    return array, _number_type(array.dtype), _space(array.shape)
+    return array, _number_type(array.dtype)
 
 
 @lru_cache(maxsize=1024)
-def _stored_text(text: str) -> tuple[NDArray[Any], h5t.TypeID, h5s.SpaceID]:
-    """Return array, HDF5 type and space of a text; cached, since units and names repeat in every set."""
+def _stored_text(text: str) -> Stored:
+    """Return array and HDF5 type of a text; cached, since units and names repeat in every set."""
     array = np.array(text.encode(), dtype=np.bytes_)
-    return array, _text_type(array.itemsize), _space(())
+    return array, _text_type(array.itemsize)
 
 
 @lru_cache(maxsize=256)

@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Any, NewType, TypeVar
 
 from daq_service.clock import parse_utc
-from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Waveform, in_order
+from hardware_drivers.measurement import PLANNED_SETS, PulseEchoRecord, Shot, ShotKey, Waveform, in_order
 from hardware_drivers.nanoseconds import NS_PER_S
 
 T = TypeVar("T")
@@ -26,7 +26,7 @@ SetReference = NewType("SetReference", str)
 """Value of the catalogue's ``sets.file``: ``sets/`` and the set's file name, in every archive."""
 Places = Mapping[int, tuple[int, int | None]]
 """First and last byte (None: the end) of a set in each segment of the journal, by segment number."""
-_NAME = re.compile(r"set_(\d{6,})_\d{8}T\d{6}Z\.h5")
+_NAME = re.compile(r"set_(\d{6,})_(\d{8}T\d{6}Z)(?:_(\d{3}))?\.h5")
 _LINES = re.compile(f"^{_NAME.pattern}$", re.MULTILINE)
 """Matching a year's names at once takes half the time."""
 
@@ -245,30 +245,42 @@ def waveform_crc32(waveform: Waveform) -> int:
 
 
 def set_reference(set_index: int, due_utc_ns: int) -> SetReference:
-    """Return the reference of a set; references of planned sets sort by time."""
+    """Return the reference of a set; references sort by time.
+
+    That of an unscheduled set has the index of the scheduled one before it, and ends with its own number.
+    """
     due = datetime.fromtimestamp(due_utc_ns // NS_PER_S, tz=UTC)
-    return SetReference(f"{SETS_FOLDER}/set_{set_index:06d}_{due:%Y%m%dT%H%M%SZ}.h5")
+    planned, unscheduled = in_order(set_index)
+    number = f"_{unscheduled:03d}" if unscheduled else ""
+    return SetReference(f"{SETS_FOLDER}/set_{planned:06d}_{due:%Y%m%dT%H%M%SZ}{number}.h5")
 
 
 def due_utc_ns(reference: SetReference) -> int:
     """Return the due time of a set to the second."""
-    return parse_utc(reference.removesuffix(".h5").rpartition("_")[2])
+    match = _NAME.fullmatch(reference.rpartition("/")[2])
+    assert match is not None, f"{reference} is no reference of a set"
+    return parse_utc(match[2])
 
 
 def set_indices(names: Iterable[str]) -> set[int]:
     """Return the indices of the sets with these file names."""
-    return {*map(int, _LINES.findall("\n".join(names)))}
+    return {*map(_index_of, _LINES.finditer("\n".join(names)))}
 
 
 def referenced_sets(names: Iterable[str]) -> dict[int, SetReference]:
     """Return the reference of each complete set by index, from file names, in the order of the sets."""
     return ordered(
         {
-            int(match[1]): SetReference(f"{SETS_FOLDER}/{match[0]}")
+            _index_of(match): SetReference(f"{SETS_FOLDER}/{match[0]}")
             for match in map(_NAME.fullmatch, names)
             if match
         }
     )
+
+
+def _index_of(match: re.Match[str]) -> int:
+    """Return the index of a set; in file names of earlier versions that of any set is the first number."""
+    return int(match[1]) + PLANNED_SETS * int(match[3] or 0)
 
 
 def ordered(sets: Mapping[int, T]) -> dict[int, T]:

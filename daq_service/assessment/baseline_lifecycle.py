@@ -114,7 +114,7 @@ def renew(
         )
     current_row = present or _collecting(position, settings, current)
     retired = replace(
-        current_row, state="retired", retired_utc_ns=utc_ns, retired_by=author, retired_because=reason
+        current_row, state="retired", retired_utc_ns=utc_ns, retired_by=author, retired_reason=reason
     )
     following = BaselineRange(
         number=current.number + 1,

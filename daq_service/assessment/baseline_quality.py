@@ -25,10 +25,10 @@ def advice(n_sets: int) -> str | None:
     return f"{few}{GOOD_SETS} sets and more are advised, {n_sets} are there"
 
 
-def readiness_of(state: State, rules: Rules) -> dict[str, Any] | None:
+def assess_baseline(state: State, rules: Rules) -> dict[str, Any] | None:
     """Return the quality of a baseline that was just frozen; None if it has no limits.
 
-    Sets are listed by index; ``rate_guaranteed``: the chart keeps its design false-alarm rate.
+    Sets are listed by index; ``rate_verified``: the chart keeps its design false-alarm rate.
     """
     baseline = state.baseline
     if baseline is None or baseline.fitted is None or baseline.design is None:
@@ -48,10 +48,10 @@ def readiness_of(state: State, rules: Rules) -> dict[str, Any] | None:
             {"kind": anomaly.kind, "set_indices": [indices[row] for row in anomaly.rows]}
             for anomaly in anomalies or ()
         ],
-        "default_because": design.by_default.reason,
+        "default_reason": design.by_default.reason,
         "false_alarms_per_sensor_year": rules.false_alarms_per_sensor_year,
-        "rate_guaranteed": not design.why_not_guaranteed,
-        "why_not_guaranteed": design.why_not_guaranteed or None,
+        "rate_verified": not design.rate_not_verified_reason,
+        "rate_not_verified_reason": design.rate_not_verified_reason or None,
     }
 
 

@@ -59,7 +59,7 @@ class Confirmation:
             "confirmation_set_index": due.set_index,
             "due_h": due.due_h,
             "due_utc_ns": due.due_utc_ns,
-            "because": self.reason,
+            "reason": self.reason,
             "author": self.author,
         }
 
@@ -72,7 +72,7 @@ def confirmation_from_payload(position: str, payload: Mapping[str, Any]) -> Conf
         due_utc_ns=payload["due_utc_ns"],
         position=position,
     )
-    return Confirmation(due=due, reason=payload["because"], author=payload["author"])
+    return Confirmation(due=due, reason=payload["reason"], author=payload["author"])
 
 
 def request_reason(before: State, after: State, assessment: SetAssessment, rules: Rules) -> str:
@@ -178,7 +178,7 @@ class ConfirmationResult:
     Attributes
     ----------
     confirms
-        None: undetermined, for the reason ``why_not``.
+        None: undetermined, for the reason ``reason``.
     distance_squared, limit
         Distance from the baseline, and the limit of sets; None: not assessed.
     """
@@ -189,7 +189,7 @@ class ConfirmationResult:
     confirms: bool | None
     distance_squared: float | None = None
     limit: float | None = None
-    why_not: str | None = None
+    reason: str | None = None
 
     @property
     def after_set(self) -> int:
@@ -206,10 +206,10 @@ def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) ->
         "confirms": None if assessment is None else assessment.confirms,
     }
     if assessment is None:
-        return ConfirmationResult(**facts, why_not=its_set.cause)
+        return ConfirmationResult(**facts, reason=its_set.cause)
     limit = limits_by_name(assessment).get(assessment.limit_name)
     return ConfirmationResult(
-        **facts, distance_squared=assessment.distance_squared, limit=limit, why_not=assessment.reason
+        **facts, distance_squared=assessment.distance_squared, limit=limit, reason=assessment.reason
     )
 
 

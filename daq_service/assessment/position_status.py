@@ -15,7 +15,15 @@ STALE_INTERVALS = 1.5
 """A set may be late by half an interval before its position counts as stale."""
 
 PositionStatus = Literal[
-    "no_data", "normal", "learning", "not_judged", "outlier", "shelved", "out_of_service", "retired", "alarm"
+    "no_data",
+    "normal",
+    "collecting_baseline",
+    "not_assessed",
+    "outlier",
+    "shelved",
+    "out_of_service",
+    "disabled",
+    "alarm",
 ]
 """Statuses of a position in rising urgency: an alarm needs a person, a retirement is known to one."""
 
@@ -28,9 +36,9 @@ def status_of(last: LatestRows) -> PositionStatus:
     last
         Its latest rows, with the current alarms (`Freshness.standing_word`): an expired shelf hides none.
     """
-    assessment = last.last_verdict
+    assessment = last.last_assessment
     if retired_positions(last.active_alarms):
-        return "retired"
+        return "disabled"
     if last.last_set is None:
         return "no_data"
     suppressions = {row.suppressed for row in last.active_alarms if row.kind != NOT_ASSESSED}
@@ -42,7 +50,7 @@ def status_of(last: LatestRows) -> PositionStatus:
         return "outlier"
     if not METHODS[last.method].has_baseline or (assessment is not None and assessment.outlier is not None):
         return "normal"
-    return "learning" if assessment is None or assessment.in_baseline else "not_judged"
+    return "collecting_baseline" if assessment is None or assessment.in_baseline else "not_assessed"
 
 
 def limit_of(last: LatestRows, settings: Settings) -> float | None:
@@ -52,7 +60,7 @@ def limit_of(last: LatestRows, settings: Settings) -> float | None:
     """
     if not METHODS[last.method].has_baseline:
         return settings.thinnest_m
-    assessment = last.last_verdict
+    assessment = last.last_assessment
     if assessment is None:
         return None
     return limits_by_name(assessment).get(assessment.limit_name)
@@ -70,7 +78,7 @@ def data_hour(last: LatestRows) -> float | None:
 
 def is_stale(schedule: ScheduleSettings, fresh: Freshness, age_h: float | None) -> bool:
     """Return whether the newest set is older than the schedule explains, or no recorder runs."""
-    if age_h is None or fresh.recorder.status in {"silent", "absent", "stopped"}:
+    if age_h is None or fresh.recorder.status in {"not_responding", "not_started", "stopped"}:
         return True
     return age_h > STALE_INTERVALS * interval_at(schedule, fresh.now_h)
 

@@ -13,7 +13,6 @@ from analysis.ultrasound.thickness import (
     EXTRACTOR_VERSION,
     EchoReference,
     ThicknessInterval,
-    TravelTime,
     reference_echo,
     substitute_reference,
     thickness,
@@ -158,7 +157,9 @@ class PulseEchoAssessor:
                 settings.initial_thickness_m,
                 settings.element_separation_m,
             )
-            interval = self._interval(travel, reference)
+            interval = thickness_interval(
+                travel, reference, settings.initial_thickness_m, settings.element_separation_m
+            )
         except AnalysisError as error:
             reason = str(error)
         else:
@@ -170,6 +171,8 @@ class PulseEchoAssessor:
                 thickness_m=_finite_or_none(wall.thickness_m),
                 thickness_loss_m=_finite_or_none(wall.thickness_loss_m),
                 correlation_coefficient=_finite_or_none(travel.correlation_coefficient),
+                interval_low_m=_finite_or_none(interval.low_m),
+                interval_high_m=_finite_or_none(interval.high_m),
             )
         flags = _flags(row, echo)
         if "clipped" in flags and row.quality == "good":
@@ -185,26 +188,6 @@ class PulseEchoAssessor:
             shot_flags={echo.sequence: flags},
             invalid=frozenset(() if usable else (echo.sequence,)),
             note=reason,
-        )
-
-    def interval_m(self, waveform: Waveform) -> tuple[float, float] | None:
-        """Compute the 95 % interval of the thickness of a record, in m; None if it has none.
-
-        Raises
-        ------
-        AnalysisError
-            The record has no back-wall echo.
-        """
-        reference = self.state.reference
-        if reference is None:
-            return None
-        low_m, high_m = _interval_limits(self._interval(travel_time(waveform, reference), reference))
-        return (low_m, high_m) if math.isfinite(low_m + high_m) else None
-
-    def _interval(self, travel: TravelTime, reference: EchoReference) -> ThicknessInterval:
-        settings = self._settings.ultrasound
-        return thickness_interval(
-            travel, reference, settings.initial_thickness_m, settings.element_separation_m
         )
 
     def _echo_of(self, waveform: Waveform, thickness_m: float) -> EchoReference:
@@ -235,9 +218,9 @@ class PulseEchoAssessor:
         reading_text = "" if remaining_m is None else f" (now {remaining_m * 1e3:.2f} mm)"
         return Condition(
             position=self.position,
-            kind="thickness",
-            family="damage",
-            severity="high",
+            kind="thickness_low",
+            alarm_class="damage",
+            priority="high",
             present=alarm.active,
             times_limit=None if loss_m is None or self.too_thin(row) is None else loss_m / self._limit_loss_m,
             message=(
@@ -245,7 +228,7 @@ class PulseEchoAssessor:
                 f"{self.position} show a loss beyond {fraction:.0%} of {initial_m * 1e3:.2f} mm"
                 f"{reading_text}: inspect the wall"
             ),
-            proof={
+            evidence={
                 "formula": FORMULA,
                 "rule": {"k": self._rule.k, "n": self._rule.n},
                 "set_index": due.set_index,

@@ -141,25 +141,3 @@ def _first_sets_after_reinstatements(position: str, catalogue: Catalogue) -> set
             index = first[0].set_index if first else None
             found.add(NEVER if index is None else index)
     return found
-
-
-def thickness_interval_m(
-    last: ThicknessRow, settings: Settings, catalogue: Catalogue, archive: SetReader
-) -> tuple[float, float] | None:
-    """Recompute the 95 % interval of a reading from its record and the reference, in m; None if it has none.
-
-    Raises
-    ------
-    ArchiveError
-        One of the two records cannot be read.
-    """
-    from analysis.errors import AnalysisError
-
-    if last.thickness_m is None:
-        return None
-    assessor = restored_pulse_echo(last.position, settings, catalogue, archive, False)
-    (its_set,) = catalogue.rows(SetRow, position=last.position, set_index=last.set_index)
-    try:
-        return assessor.interval_m(first_waveform(archive, its_set))
-    except AnalysisError:  # assessed with other settings, with which it had an interval
-        return None

@@ -8,7 +8,7 @@ from typing import Any
 
 from daq_service.archive import Results
 from daq_service.archive.layout import RESULTS
-from daq_service.catalogue import Catalogue
+from daq_service.catalogue import Catalogue, RecorderCatalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow, measured
 
 MADE_BY = "extractor_version"
@@ -26,6 +26,14 @@ def results_in(catalogue: Catalogue, set_index: int) -> Results:
             for row in catalogue.rows(ShotRow, position=position, set_index=set_index)
         ],
     )
+
+
+def newest_results(catalogue: RecorderCatalogue, set_index: int) -> Results:
+    """Return the results of a set; those that this process stored last are not read again."""
+    newest = catalogue.newest
+    if all(row.set_index != set_index for row in newest.sets):
+        return results_in(catalogue, set_index)
+    return results_of(newest.features, newest.thickness, newest.shots)
 
 
 def results_of(
@@ -84,4 +92,4 @@ def _is_equal(left: Any, right: Any) -> bool:
 
 
 def _nan_if_none(value: float | None) -> float:
-    return math.nan if value is None else value
+    return math.nan if value is None or math.isinf(value) else value

@@ -26,7 +26,7 @@ CHART_FORMULA = (
     "T = (2 - w)/w |z|^2, z = w u + (1 - w) z of the set before, w = 0.1; u: what is new in the set, "
     "whitened, cut back to the F limit of 1 %"
 )
-CAUSE = "cause"
+BY_DIAGNOSIS = "diagnosis"
 """Value of ``raised_by`` if the diagnosis raised the alarm."""
 REMEDY = "wall or transducer has changed; inspect"
 
@@ -39,28 +39,31 @@ def wall_conditions(position: str, state: State, rules: Rules, assessment: Asses
     """
     design = None if state.baseline is None else state.baseline.design
     if rules.decides_by == "chart" and design is not None and state.memory is not None:
-        present, times_limit, message, proof = _by_chart(position, design, state, rules, assessment)
+        present, times_limit, message, evidence = _by_chart(position, design, state, rules, assessment)
     else:
-        present, times_limit, message, proof = _by_k_of_n(position, state, rules, assessment)
-    message += diagnosis_text(assessment.cause, assessment.cause_probability, assessment.cause_told) or REMEDY
+        present, times_limit, message, evidence = _by_k_of_n(position, state, rules, assessment)
+    message += (
+        diagnosis_text(assessment.diagnosis, assessment.diagnosis_probability, assessment.diagnosis_details)
+        or REMEDY
+    )
     not_wall = state.origin.not_wall
     wall = Condition(
         position=position,
         kind="wall_change",
-        family="damage",
-        severity="high",
+        alarm_class="damage",
+        priority="high",
         present=present and not not_wall,
         times_limit=times_limit,
-        known=WALL if assessment.cause == WALL else "",
+        known=WALL if assessment.diagnosis == WALL else "",
         message=message if present else "",
-        proof=proof | _common_evidence(assessment),
+        evidence=evidence | _common_evidence(assessment),
     )
     transducer = replace(
         wall,
         kind="transducer_change",
         known="",
-        family="device",
-        severity="medium",
+        alarm_class="diagnostic",
+        priority="medium",
         present=present and not_wall,
     )
     return [wall, transducer]
@@ -72,16 +75,20 @@ def _common_evidence(assessment: AssessmentRow) -> dict[str, Any]:
         "distance_squared": assessment.distance_squared,
         "baseline_id": assessment.baseline_id,
         "extractor_version": EXTRACTOR_VERSION,
-        "cause": assessment.cause,
-        "cause_probability": assessment.cause_probability,
-        "cause_told": assessment.cause_told,
+        "diagnosis": assessment.diagnosis,
+        "diagnosis_probability": assessment.diagnosis_probability,
+        "diagnosis_details": assessment.diagnosis_details,
     }
 
 
 def describe_rate(design: Design, budget: float) -> str:
     """Describe the design false-alarm rate of the chart for a healthy sensor."""
     rate = f"{budget:g} false alarms a year"
-    return f"{rate}, not promised: {design.why_not_guaranteed}" if design.why_not_guaranteed else rate
+    return (
+        f"{rate}, not promised: {design.rate_not_verified_reason}"
+        if design.rate_not_verified_reason
+        else rate
+    )
 
 
 AlarmBasis = tuple[bool, float | None, str, dict[str, Any]]
@@ -104,18 +111,18 @@ def _by_chart(
         else f"the cause of a change at {position} is named, while the chart stands at {statistic:.1f}, "
         f"below its limit of {limit:.1f}: "
     )
-    proof = {
+    evidence = {
         "formula": CHART_FORMULA,
         "rule": {"false_alarms_per_sensor_year": budget},
-        "raised_by": CHART if memory.alarming else CAUSE,
-        "chart": statistic,
+        "raised_by": CHART if memory.alarming else BY_DIAGNOSIS,
+        "mewma_statistic": statistic,
         "limit_name": CHART,
         "limit": limit,
         "contributions": dict(zip(design.baseline.feature_names, parts.tolist(), strict=True)),
-        "rate_guaranteed": not design.why_not_guaranteed,
-        "why_not_guaranteed": design.why_not_guaranteed or None,
+        "rate_verified": not design.rate_not_verified_reason,
+        "rate_not_verified_reason": design.rate_not_verified_reason or None,
     }
-    return wall_alarm_active(state, rules), statistic / limit, message, proof
+    return wall_alarm_active(state, rules), statistic / limit, message, evidence
 
 
 def _by_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
@@ -128,7 +135,7 @@ def _by_k_of_n(position: str, state: State, rules: Rules, assessment: Assessment
         f"{sum(alarm.recent)} of the last {len(alarm.recent)} judged sets at {position} lie beyond the limit "
         f"of {limit or 0.0:.1f} (rule: {rule.k} of {rule.n}): "
     )
-    proof = {
+    evidence = {
         "formula": FORMULA,
         "rule": {"k": rule.k, "n": rule.n},
         "limit_name": assessment.limit_name,
@@ -136,4 +143,4 @@ def _by_k_of_n(position: str, state: State, rules: Rules, assessment: Assessment
         "contributions": assessment.contributions,
     }
     times_limit = None if value is None or limit is None else value / limit
-    return alarm.active, times_limit, message, proof
+    return alarm.active, times_limit, message, evidence

@@ -30,7 +30,7 @@ from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.assessment.assessor import PositionResult, StoredResult
 from daq_service.assessment.baseline_lifecycle import AUTOMATIC, BaselineRange
-from daq_service.assessment.baseline_quality import readiness_of
+from daq_service.assessment.baseline_quality import assess_baseline
 from daq_service.assessment.confirmation import confirms_change, request_reason
 from daq_service.assessment.diagnosis import (
     diagnose_confirmation,
@@ -304,11 +304,11 @@ class SolitaryWaveAssessor:
             feature_names=list(FEATURE_NAMES),
             mean=[None] * n_features if fitted is None else fitted.mean.tolist(),
             covariance=[[None] * n_features] * n_features if fitted is None else fitted.covariance.tolist(),
-            limit_f=state.baseline.limits.get(F_PREDICTIVE),
-            limit_paper=state.baseline.limits.get(PAPER_MEAN_3SD),
+            limit_f_predictive=state.baseline.limits.get(F_PREDICTIVE),
+            limit_mean_3sd=state.baseline.limits.get(PAPER_MEAN_3SD),
             limit_reason=state.baseline.reason,
             limits=dict(state.baseline.limits) or None,
-            readiness=readiness_of(state, rules),
+            baseline_quality=assess_baseline(state, rules),
             approval=self._approval,
             # A baseline without limits cannot be approved.
             state="approved" if self._approval == AUTOMATIC and fitted is not None else "proposed",
@@ -351,22 +351,22 @@ class SolitaryWaveAssessor:
             in_baseline=assessment.in_baseline,
             distance_squared=assessment.distance_squared,
             limit_name=self._rules.limit if baseline is None else baseline.effective_limit(self._rules.limit),
-            limit_f=limits.get(F_PREDICTIVE),
-            limit_paper=limits.get(PAPER_MEAN_3SD),
+            limit_f_predictive=limits.get(F_PREDICTIVE),
+            limit_mean_3sd=limits.get(PAPER_MEAN_3SD),
             outlier=assessment.outlier,
-            outlier_paper=assessment.outlier_paper,
+            outlier_mean_3sd=assessment.outlier_mean_3sd,
             reason=assessment.reason,
             contributions=None if assessment.contributions is None else dict(assessment.contributions),
-            chart=assessment.statistics.get(CHART),
-            chart_alarm=None if assessment.memory is None else assessment.memory.alarming,
+            mewma_statistic=assessment.statistics.get(CHART),
+            mewma_alarm=None if assessment.memory is None else assessment.memory.alarming,
             statistics=other_statistics or None,
             limits=dict(limits) or None,
             averages=None
             if assessment.memory is None
             else {name: list(average) for name, average in assessment.memory.averages.items()},
-            cause=None if assessment.cause is None else assessment.cause.cause,
-            cause_probability=None if assessment.cause is None else assessment.cause.probability,
-            cause_told=None if assessment.cause is None else diagnosis_details(assessment.cause),
+            diagnosis=None if assessment.cause is None else assessment.cause.cause,
+            diagnosis_probability=None if assessment.cause is None else assessment.cause.probability,
+            diagnosis_details=None if assessment.cause is None else diagnosis_details(assessment.cause),
         )
 
     # Conditions ----------------------------------------------------------------------------------
@@ -376,28 +376,28 @@ class SolitaryWaveAssessor:
         quality, poor = self._quality, self.state.poor_sets
         finding = f"{poor} sets running with too few valid shots at {self.position} (last: {mean.reason})"
         action = "check coil, striker, sensor and cable"
-        proof = {
+        evidence = {
             "set_index": due.set_index,
-            "poor_sets_running": poor,
+            "consecutive_poor_sets": poor,
             "minimum_valid_shots": self._rules.minimum_valid_shots,
         }
         return [
             Condition(
                 position=self.position,
-                kind="no_data",
-                severity="medium",
+                kind="few_valid_shots",
+                priority="medium",
                 present=poor >= quality.no_data_sets,
                 message=f"{finding}; {action}",
-                proof=proof,
+                evidence=evidence,
             ),
             Condition(
                 position=self.position,
-                kind="retired",
-                severity="high",
+                kind="transducer_disabled",
+                priority="high",
                 present=0 < quality.retire_after_sets <= poor,
                 latched=True,
                 message=f"{finding}: the transducer strikes no more; {action}, then reinstate it",
-                proof=proof,
+                evidence=evidence,
             ),
         ]
 
@@ -405,11 +405,11 @@ class SolitaryWaveAssessor:
         baseline = self.state.baseline
         return Condition(
             position=self.position,
-            kind="not_judged",
-            severity="medium",
+            kind="not_assessed",
+            priority="medium",
             present=baseline is not None and baseline.fitted is None,
             message=f"nothing is judged at {self.position}: {self.not_assessed_reason}",
-            proof={"set_index": due.set_index, "baseline_id": self._baseline_id},
+            evidence={"set_index": due.set_index, "baseline_id": self._baseline_id},
         )
 
     def _hole_condition(self, due: DueSet, features: Sequence[ShotFeatures]) -> Condition:
@@ -417,9 +417,9 @@ class SolitaryWaveAssessor:
         n_without_psw = sum("no_psw" in features_of_shot.flags for features_of_shot in features)
         return Condition(
             position=self.position,
-            kind="hole",
-            family="damage",
-            severity="critical",
+            kind="no_reflection",
+            alarm_class="damage",
+            priority="critical",
             present=self.state.hole.hole,
             latched=True,
             message=(
@@ -427,7 +427,7 @@ class SolitaryWaveAssessor:
                 f"{rule.consecutive_sets} sets running: the wall has a hole or the chain lost contact; "
                 "the transducer strikes no more"
             ),
-            proof={
+            evidence={
                 "rule": {"shots": rule.shots, "consecutive_sets": rule.consecutive_sets},
                 "set_index": due.set_index,
                 "shots_without_psw": n_without_psw,

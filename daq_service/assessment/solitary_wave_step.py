@@ -178,7 +178,7 @@ class SetAssessment:
 
     Attributes
     ----------
-    outlier, outlier_paper
+    outlier, outlier_mean_3sd
         Above the configured limit, and above the paper's; None: not assessed, for the stated ``reason``.
     contributions
         Contribution of each feature to the squared distance, by name.
@@ -193,7 +193,7 @@ class SetAssessment:
     in_baseline: bool = False
     distance_squared: float | None = None
     outlier: bool | None = None
-    outlier_paper: bool | None = None
+    outlier_mean_3sd: bool | None = None
     reason: str | None = None
     contributions: Mapping[str, float] | None = None
     statistics: Mapping[str, float] = field(default_factory=dict)
@@ -349,7 +349,7 @@ def _assess(set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, ru
     return SetAssessment(
         distance_squared=statistics[DISTANCE],
         outlier=exceeds_limit(baseline.effective_limit(rules.limit), statistics, baseline.limits),
-        outlier_paper=exceeds_limit(PAPER_MEAN_3SD, statistics, baseline.limits),
+        outlier_mean_3sd=exceeds_limit(PAPER_MEAN_3SD, statistics, baseline.limits),
         contributions=named_contributions(vector, baseline.fitted),
         statistics=statistics,
         memory=memory,

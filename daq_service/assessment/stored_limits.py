@@ -15,7 +15,7 @@ def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
         return dict(row.limits)
     from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
 
-    of_columns = {F_PREDICTIVE: row.limit_f, PAPER_MEAN_3SD: row.limit_paper}
+    of_columns = {F_PREDICTIVE: row.limit_f_predictive, PAPER_MEAN_3SD: row.limit_mean_3sd}
     return {name: limit for name, limit in of_columns.items() if limit is not None}
 
 
@@ -24,15 +24,15 @@ def statistic_of(row: AssessmentRow, limit_name: str) -> float | None:
     from analysis.statistics.named_limits import CHART, DISTANCE, LIMITS
 
     name = LIMITS[limit_name].of
-    columns = {DISTANCE: row.distance_squared, CHART: row.chart}
+    columns = {DISTANCE: row.distance_squared, CHART: row.mewma_statistic}
     return columns[name] if name in columns else (row.statistics or {}).get(name)
 
 
 def deciding_chart(row: AssessmentRow | None, settings: Settings) -> tuple[float, float] | None:
     """Return statistic and limit of the chart if it raises the wall alarm; None if it does not."""
-    if row is None or row.chart is None or settings.alarms.decides_by != "chart":
+    if row is None or row.mewma_statistic is None or settings.alarms.decides_by != "chart":
         return None
     from analysis.statistics.named_limits import CHART
 
     limit = limits_by_name(row).get(CHART)
-    return None if limit is None else (row.chart, limit)
+    return None if limit is None else (row.mewma_statistic, limit)

@@ -84,9 +84,9 @@ class Transaction(SetCommit):
             )
             self.baselines.append(baseline)
             payload = payload_of(baseline, last="created_utc_ns")
-            add_event("verdicts", "baseline_frozen", payload)
+            add_event("assessments", "baseline_frozen", payload)
         for assessment in position_result.assessments[-1:]:
-            add_event("verdicts", "set_judged", payload_of(assessment))
+            add_event("assessments", "set_assessed", payload_of(assessment))
 
     def add_environment(self, row: EnvironmentRow, moment: Moment) -> None:
         """Add the readings of supply and climate probe around a set."""
@@ -128,7 +128,7 @@ class Transaction(SetCommit):
     def change_baseline(self, row: BaselineRow, kind: str, moment: Moment) -> None:
         """Add a baseline that a person changed; the event contains the complete row."""
         self.baselines.append(row)
-        self._add_event("verdicts", kind, payload_of(row), moment, position=row.position)
+        self._add_event("assessments", kind, payload_of(row), moment, position=row.position)
 
     def _add_event(
         self,

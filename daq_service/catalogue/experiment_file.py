@@ -8,6 +8,7 @@ from pathlib import Path
 
 import orjson
 
+from daq_service.catalogue.earlier_names import current_row
 from daq_service.catalogue.errors import (
     CatalogueDamagedError,
     CatalogueError,
@@ -67,7 +68,7 @@ def read_experiment(folder: Path) -> ExperimentRow | None:
         stored = orjson.loads(content)
         if stored["crc32"] != _crc32(stored["experiment"]):
             raise ValueError("its checksum is another one")
-        return ExperimentRow(**stored["experiment"])
+        return ExperimentRow(**current_row("experiment", stored["experiment"]))
     except (ValueError, TypeError, LookupError) as error:
         raise CatalogueDamagedError(
             f"{path} is damaged: {error}; `solimon rebuild` writes it again from catalogue, history or sets"

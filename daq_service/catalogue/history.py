@@ -22,6 +22,7 @@ from typing import Any
 import orjson
 
 from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.earlier_names import current_row
 from daq_service.catalogue.errors import CatalogueDamagedError
 from daq_service.catalogue.experiment_file import HISTORY_FILE, refuse_another
 from daq_service.catalogue.reader import Catalogue
@@ -69,6 +70,7 @@ class History:
     def take(self, number: int, table: str, row: Mapping[str, Any]) -> None:
         """Add the contents of a line."""
         self.last_number = number
+        row = current_row(table, row)
         match table:
             case "experiment":
                 self.experiment = ExperimentRow(**row)

@@ -39,7 +39,7 @@ ADDED_COLUMNS: Mapping[type[Row], tuple[PublishedColumn, ...]] = {
         PublishedColumn(name="temperature_c", form="nested", unit="degC", nullable=True),
     ),
     AssessmentRow: (PublishedColumn(name="quality", form="text", unit="", nullable=True),),
-    AlarmRow: (PublishedColumn(name="proof_sentences", form="nested", unit="", nullable=False),),
+    AlarmRow: (PublishedColumn(name="evidence_sentences", form="nested", unit="", nullable=False),),
 }
 """Columns that the service adds: hours and temperatures of a baseline, assessed quality, evidence."""
 
@@ -51,15 +51,18 @@ def _part(name: str, form: Form = "number") -> PublishedColumn:
 
 PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
     BaselineRow: {
-        **{("readiness", name): _part(name) for name in ("n_eff", "phi_pooled", "tail")},
-        ("readiness", "false_alarms_per_sensor_year"): _part("false_alarms_per_sensor_year"),
-        ("readiness", "rate_guaranteed"): _part("rate_guaranteed", "truth"),
-        ("readiness", "why_not_guaranteed"): _part("why_not_guaranteed", "text"),
+        **{("baseline_quality", name): _part(name) for name in ("n_eff", "phi_pooled", "tail")},
+        ("baseline_quality", "false_alarms_per_sensor_year"): _part("false_alarms_per_sensor_year"),
+        ("baseline_quality", "rate_verified"): _part("rate_verified", "truth"),
+        ("baseline_quality", "rate_not_verified_reason"): _part("rate_not_verified_reason", "text"),
         **{("limits", name): _part(f"limit_{name}") for name in ("chart", "default")},
     },
     AssessmentRow: {
-        ("limits", "chart"): _part("limit_chart"),
-        **{("cause_told", "probabilities", name): _part(f"probability_{name}") for name in (OK, *CAUSES)},
+        ("limits", "chart"): _part("mewma_limit"),
+        **{
+            ("diagnosis_details", "probabilities", name): _part(f"probability_{name}")
+            for name in (OK, *CAUSES)
+        },
     },
 }
 """Values of nested columns as columns of tables, where the nested ones are JSON text."""

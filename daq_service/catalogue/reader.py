@@ -73,7 +73,7 @@ class Filters(TypedDict, total=False):
     position: str | None
     set_index: int | None
     state: str | None
-    severity: str | None
+    priority: str | None
     states: Collection[str] | None
     scope: Scope | None
     active: bool | None
@@ -160,7 +160,7 @@ class LatestRows:
     method: Method
     last_set: SetRow | None = None
     last_feature: FeatureRow | None = None
-    last_verdict: AssessmentRow | None = None
+    last_assessment: AssessmentRow | None = None
     last_thickness: ThicknessRow | None = None
     active_alarms: Sequence[AlarmRow] = ()
 
@@ -360,7 +360,7 @@ class Catalogue:
                 method=row.method,
                 last_set=row,
                 last_feature=last_features.get(position),
-                last_verdict=last_assessments.get(position),
+                last_assessment=last_assessments.get(position),
                 last_thickness=last_thicknesses.get(position),
                 active_alarms=[alarm for alarm in active if alarm.position == position],
             )
@@ -408,7 +408,7 @@ class Catalogue:
 
     def held(self) -> str | None:
         """Return who holds the test and why; None if it is not held."""
-        event = self.last_service_event("hold", "release")
+        event = self.last_service_event("pause", "resume")
         return None if event is None else event.payload["held"] or None
 
     def last_event_id(self) -> int:

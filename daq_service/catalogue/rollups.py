@@ -45,7 +45,7 @@ Pieces = tuple[NDArray[np.int64], NDArray[np.void]]
 """Index of the first set of each piece, in order, and its content."""
 
 FACTOR = 4
-ASSESSED_VALUES = ("distance_squared", "limit_f", "limit_paper", "chart")
+ASSESSED_VALUES = ("distance_squared", "limit_f_predictive", "limit_mean_3sd", "mewma_statistic")
 QUALITIES: tuple[str, ...] = get_args(Quality)
 """From the best to the worst."""
 _BLOCKS_AT_ONCE = 256
@@ -133,7 +133,7 @@ def _bins(connection: Connection, place: _PositionRange, first: int, end: int) -
         ],
         missed=[row.state == "missed" for row in set_rows],
         outlier=[getattr(row, "outlier", None) for row in set_assessments],
-        outlier_paper=[getattr(row, "outlier_paper", None) for row in set_assessments],
+        outlier_mean_3sd=[getattr(row, "outlier_mean_3sd", None) for row in set_assessments],
         in_baseline=[getattr(row, "in_baseline", False) for row in set_assessments],
         n_alarms=[n_alarms[row.set_index] for row in set_rows],
     )

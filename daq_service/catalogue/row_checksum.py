@@ -15,7 +15,7 @@ from typing import Any, TypeVar, get_args
 
 import numpy as np
 import orjson
-from sqlalchemy import Connection, Select, bindparam, func, select, update
+from sqlalchemy import Connection, Select, bindparam, select, update
 
 from daq_service.catalogue.rows import Column, Row, columns_of
 from daq_service.catalogue.tables import KINDS, ROW_CRC32, table_of
@@ -41,6 +41,8 @@ _COLUMNS = {kind: [(column.name, _reading_of(column)) for column in columns_of(k
 _BYTES = {kind: [name for name, read in columns if read is zlib.crc32] for kind, columns in _COLUMNS.items()}
 
 
+_PLAIN = {str, int, bool, type(None)}
+
 _ROWS_AT_ONCE = 256
 """Rows per fetch: one by one takes an eighth longer."""
 
@@ -51,6 +53,8 @@ class DamagedRow(Exception):  # noqa: N818 - an error once the file is known (`c
 
 def plain(value: Any) -> Any:
     """Return a scalar as Python's own type; NaN and infinities become None."""
+    if type(value) in _PLAIN:  # nearly every value
+        return value
     if isinstance(value, np.generic):
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
@@ -60,18 +64,18 @@ def plain(value: Any) -> Any:
 
 def row_crc32(row: Row) -> int:
     """Compute the CRC-32 of a row, the same before it is stored and after it is read."""
-    columns = {}
-    for name, as_read in _COLUMNS[type(row)]:
-        value = plain(getattr(row, name))
-        if value is not None:
-            columns[name] = value if as_read is None else as_read(value)
-    return zlib.crc32(orjson.dumps(columns, option=orjson.OPT_SERIALIZE_NUMPY))
+    return int(storable(row)[ROW_CRC32])
 
 
 def storable(row: Row) -> dict[str, Any]:
     """Return the stored form of a row with id and checksum: NaN and infinities are NULL."""
     stored = {name: plain(getattr(row, name)) for name in row.__slots__}
-    return {**stored, ROW_CRC32: row_crc32(row)}
+    columns = {}
+    for name, as_read in _COLUMNS[type(row)]:
+        value = stored[name]
+        if value is not None:
+            columns[name] = value if as_read is None else as_read(value)
+    return {**stored, ROW_CRC32: zlib.crc32(orjson.dumps(columns, option=orjson.OPT_SERIALIZE_NUMPY))}
 
 
 def numbered(connection: Connection, rows: Sequence[R]) -> list[R]:
@@ -79,7 +83,8 @@ def numbered(connection: Connection, rows: Sequence[R]) -> list[R]:
     if not any(getattr(row, "id", 0) is None for row in rows):
         return list(rows)
     table = table_of(type(rows[0]))
-    next_id = int(connection.execute(select(func.max(table.c.id))).scalar_one() or 0) + 1
+    newest = connection.exec_driver_sql(f"select max(id) from {table.name}")
+    next_id = int(newest.scalar_one() or 0) + 1
     numbered_rows = []
     for row in rows:
         if row.id is not None:  # type: ignore[attr-defined] # only kinds of rows with an id come here

@@ -17,10 +17,10 @@ from hardware_drivers.measurement import Purpose
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 
 Quality = Literal["good", "suspect", "bad"]
-SetState = Literal["done", "partial", "missed", "retired"]
+SetState = Literal["done", "partial", "missed", "disabled"]
 Outcome = Literal["accepted", "superseded"]
-Family = Literal["damage", "device"]
-Severity = Literal["low", "medium", "high", "critical"]
+AlarmClass = Literal["damage", "diagnostic"]
+Priority = Literal["low", "medium", "high", "critical"]
 AlarmState = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
 Suppression = Literal["shelved", "out_of_service"]
 BaselineState = Literal["collecting", "proposed", "approved", "retired"]
@@ -47,6 +47,8 @@ class ExperimentRow(Row):
     epoch_utc_ns: int  # hour 0 of the experiment
     clock: str
     solimon_version: str
+    uuid: str  # of the test, given when it is created
+    site: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -139,6 +141,8 @@ class ThicknessRow(Row):
     thickness_m: float | None = None
     thickness_loss_m: float | None = None
     correlation_coefficient: float | None = None
+    interval_low_m: Annotated[float | None, "Of the 95 % interval of `thickness_m`"] = None
+    interval_high_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -183,8 +187,8 @@ class BaselineRow(Row):
     feature_names: list[str]
     mean: list[float | None]  # (p,)
     covariance: list[list[float | None]]  # (p, p)
-    limit_f: float | None = None  # two of `limits`, as columns: for trends and older clients
-    limit_paper: float | None = None
+    limit_f_predictive: float | None = None  # two of `limits`, as columns: for trends and older clients
+    limit_mean_3sd: float | None = None
     limit_reason: str | None = None  # why there is no limit
     approval: str  # "automatic", "by_a_person" until a person approves, or the name of that person
     provenance: dict[str, Any]  # set ids, suspects, extractor, versions
@@ -192,7 +196,7 @@ class BaselineRow(Row):
         dict[str, float] | None,
         "Every limit by its name (`/info` lists them); null: there is none",
     ] = None
-    readiness: Annotated[
+    baseline_quality: Annotated[
         dict[str, Any] | None,
         "How far it can be trusted, and whether the chart keeps its rate",
     ] = None
@@ -202,7 +206,7 @@ class BaselineRow(Row):
     approved_utc_ns: int | None = None
     retired_utc_ns: int | None = None
     retired_by: str | None = None
-    retired_because: str | None = None
+    retired_reason: str | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -217,14 +221,16 @@ class AssessmentRow(Row):
     in_baseline: bool
     distance_squared: float | None = None
     limit_name: Annotated[str, "The limit beyond which the set is an outlier"]
-    limit_f: float | None = None  # as in `BaselineRow`
-    limit_paper: float | None = None
+    limit_f_predictive: float | None = None  # as in `BaselineRow`
+    limit_mean_3sd: float | None = None
     outlier: bool | None = None  # None: not assessed, see reason
-    outlier_paper: bool | None = None
+    outlier_mean_3sd: bool | None = None
     reason: str | None = None
     contributions: dict[str, float | None] | None = None  # {feature: part of distance_squared}
-    chart: Annotated[float | None, "Statistic of the chart that keeps the budget of false alarms"] = None
-    chart_alarm: Annotated[bool | None, "Beyond the chart's limit, or not yet back; null: not judged"] = None
+    mewma_statistic: Annotated[
+        float | None, "Statistic of the chart that keeps the budget of false alarms"
+    ] = None
+    mewma_alarm: Annotated[bool | None, "Beyond the chart's limit, or not yet back; null: not judged"] = None
     statistics: Annotated[
         dict[str, float] | None, "The other statistics that limits bound, by name; null: not judged"
     ] = None
@@ -234,12 +240,12 @@ class AssessmentRow(Row):
     averages: Annotated[
         dict[str, list[float]] | None, "Exponentially weighted vector behind each chart; null: not judged"
     ] = None
-    cause: Annotated[
+    diagnosis: Annotated[
         str | None,
-        "`ok`, `wall`, `sensor`, `coupling`, `environment` or `cannot tell`; null: not judged",
+        "`ok`, `wall`, `sensor`, `coupling`, `environment` or `undetermined`; null: not judged",
     ] = None
-    cause_probability: Annotated[float | None, "Of that cause, or of the likeliest"] = None
-    cause_told: Annotated[
+    diagnosis_probability: Annotated[float | None, "Of that cause, or of the likeliest"] = None
+    diagnosis_details: Annotated[
         dict[str, Any] | None,
         "Sentence and action for operators, probability of every cause and of a step, relative changes",
     ] = None
@@ -256,9 +262,9 @@ class AlarmRow(Row):
 
     id: int | None = None
     position: str | None  # None: the service itself
-    kind: str  # "wall_change", "hole", "thickness", "no_data", ...
-    family: Family
-    severity: Severity
+    kind: str  # "wall_change", "no_reflection", "thickness_low", "few_valid_shots", ...
+    alarm_class: AlarmClass
+    priority: Priority
     state: AlarmState
     raised_utc_ns: int
     raised_h: float
@@ -269,12 +275,12 @@ class AlarmRow(Row):
     acknowledged_by: str | None = None
     note: str | None = None
     message: str
-    proof: dict[str, Any]  # sets, features, baseline, limit, formula, contributions, versions
+    evidence: dict[str, Any]  # sets, features, baseline, limit, formula, contributions, versions
     suppressed: Annotated[
         Suppression | None, "A person does not want to be told: `shelved` for a while, or `out_of_service`"
     ] = None
     suppressed_by: str | None = None
-    suppressed_because: str | None = None
+    suppressed_reason: str | None = None
     shelved_until_utc_ns: int | None = None  # on the experiment's clock
     shelved_until_wall_utc_ns: int | None = None  # in real time; whichever comes first ends it
 
@@ -301,7 +307,7 @@ class EventRow(Row):
     id: int | None = None
     utc_ns: int  # experiment time
     wall_utc_ns: int = 0  # when it was written; 0 until then
-    topic: str  # "sets", "features", "verdicts", "alarms", ...: the list is `web.routes.stream.TOPICS`
+    topic: str  # "sets", "features", "assessments", "alarms", ...: the list is `web.routes.stream.TOPICS`
     kind: str  # "set_done", "alarm_raised", "recorder_started", "gap", ...
     position: str | None = None
     set_index: int | None = None

@@ -91,7 +91,7 @@ def _index(table: sa.Table, *names: str) -> None:
     sa.Index(f"ix_{table.name}_{'_'.join(names)}", *(table.c[name] for name in names))
 
 
-experiment = _table("experiment", rows.ExperimentRow)
+experiment = _table("experiment", rows.ExperimentRow, uuid=sa.DefaultClause(""))
 sets = _table(
     "sets",
     rows.SetRow,
@@ -136,9 +136,9 @@ baselines = _table(
     "baselines", rows.BaselineRow, _unique("baselines", "name"), state=sa.DefaultClause("approved")
 )
 assessments = _table(
-    "verdicts",
+    "assessments",
     rows.AssessmentRow,
-    _unique("verdicts", "position", "set_index"),
+    _unique("assessments", "position", "set_index"),
     baseline_id=sa.ForeignKey("baselines.id"),
 )
 _index(assessments, "set_index")

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import time
+import uuid
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from sqlalchemy import Connection, delete, func, insert, select, update
+from sqlalchemy import Connection, bindparam, delete, func, insert, select, update
 
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
@@ -49,6 +50,7 @@ from hardware_drivers.methods import PULSE_ECHO
 
 R = TypeVar("R", bound=Row)
 
+_KEY = "key_of_the_row"
 ANSWERS: tuple[CommandState, ...] = ("done", "refused", "expired", "failed")
 
 
@@ -109,6 +111,9 @@ class Committed:
 class RecorderCatalogue(Catalogue):
     """Catalogue of the recorder, its only writer."""
 
+    newest = SetCommit()
+    """Rows of the set that this process stored last."""
+
     @contextmanager
     def _writing(self, action: str) -> Iterator[Connection]:
         """Open a transaction for writing and translate errors."""
@@ -126,6 +131,7 @@ class RecorderCatalogue(Catalogue):
         epoch_utc_ns: int,
         clock: str,
         solimon_version: str,
+        site: str | None = None,
     ) -> ExperimentRow:
         """Store the experiment of this folder, or check the stored one, and return its row.
 
@@ -142,6 +148,8 @@ class RecorderCatalogue(Catalogue):
             epoch_utc_ns=epoch_utc_ns,
             clock=clock,
             solimon_version=solimon_version,
+            uuid=str(uuid.uuid4()),
+            site=site,
         )
         with self._writing("beginning the experiment") as connection:
             if connection.execute(select(experiment.c.id)).first() is None:
@@ -204,6 +212,8 @@ class RecorderCatalogue(Catalogue):
             _count(connection, commit, before, after)
             update_trends(connection, touched, last_before)
             order_id = _answer(connection, commit.order) if commit.order else None
+        if commit.sets:
+            self.newest = commit
         return Committed(
             event_ids=event_ids,
             alarm_ids=alarm_ids,
@@ -334,7 +344,8 @@ def _change(connection: Connection, row: Row) -> bool:
     """Replace the row with the same id; return False if there is none."""
     table, stored = table_of(type(row)), storable(row)
     key = table.primary_key.columns[0]
-    return connection.execute(update(table).where(key == stored.pop(key.name)).values(stored)).rowcount == 1
+    stored[_KEY] = stored.pop(key.name)
+    return connection.execute(update(table).where(key == bindparam(_KEY)), stored).rowcount == 1
 
 
 def _count(
@@ -358,12 +369,11 @@ def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -
     """Insert assessments; those of a new baseline's sets replace the preliminary ones."""
     new = []
     for row in rows:
-        statement = select(assessments.c.id).where(
-            assessments.c.position == row.position,
-            assessments.c.set_index == row.set_index,
-            assessments.c.in_baseline,
-        )
-        stored_id = connection.execute(statement).scalar() if row.in_baseline else None
+        stored_id = None
+        if row.in_baseline:
+            its_set = (assessments.c.position == row.position, assessments.c.set_index == row.set_index)
+            statement = select(assessments.c.id).where(*its_set, assessments.c.in_baseline)
+            stored_id = connection.execute(statement).scalar()
         if stored_id is None:
             new.append(row)
         else:

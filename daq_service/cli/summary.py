@@ -63,12 +63,12 @@ def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[s
         "first_alarm_h": _first_alarm_h(catalogue, position),
         "outlier_fraction_before_100_h": _fraction(row.outlier for row in assessed if row.due_h <= SPLIT_H),
         "outlier_fraction_after_100_h": _fraction(row.outlier for row in after),
-        "outlier_fraction_after_100_h_paper_limit": _fraction(row.outlier_paper for row in after),
+        "outlier_fraction_after_100_h_paper_limit": _fraction(row.outlier_mean_3sd for row in after),
         "tof_us": None if last is None else _scaled(last.tof_pp_s, 1e6),
         "amplitude_ratio": None if last is None else last.amplitude_ratio,
         "limit": limit,
         "limit_name": settings.novelty.limit,
-        "limit_paper": None if baseline is None else baseline.limit_paper,
+        "limit_paper": None if baseline is None else baseline.limit_mean_3sd,
         "limit_reason": "the baseline is still being recorded" if baseline is None else baseline.limit_reason,
         "n_baseline": _baseline_size(catalogue, baseline, position),
         "travel_time_us": None,
@@ -117,7 +117,9 @@ def _baseline_size(catalogue: Catalogue, baseline: BaselineRow | None, position:
 
 def _first_alarm_h(catalogue: Catalogue, position: str) -> float | None:
     """Return the hour of the first damage alarm."""
-    hours = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
+    hours = [
+        row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.alarm_class == "damage"
+    ]
     return min(hours) if hours else None
 
 

@@ -195,9 +195,9 @@ class ProgressReport:
             self._logged_s = now_s
             self._put(self._progress)
 
-    def _hear_alarm(self, *, change: str, hour: float, severity: str, message: str, **_: Any) -> None:
-        is_active = change in ("alarm_raised", "alarm_worsened", "alarm_returned")
-        text = f"ALARM, {severity}" if is_active else change.replace("_", " ")
+    def _hear_alarm(self, *, change: str, hour: float, priority: str, message: str, **_: Any) -> None:
+        is_active = change in ("alarm_raised", "alarm_priority_raised", "alarm_reactivated")
+        text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
         self._put(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
     def _hear_waits(self, *, why: str) -> None:

@@ -100,7 +100,7 @@ class Experiment:
     ) -> pd.DataFrame:
         """Read squared distances, limits and outliers, with the quality of the assessed values."""
         filters = {"position": position, "from_h": from_h, "to_h": to_h, "purpose": purpose}
-        return self._table(rows.AssessmentRow, "verdicts", **filters)
+        return self._table(rows.AssessmentRow, "assessments", **filters)
 
     def baselines(self, position: str | None = None) -> pd.DataFrame:
         """Read the baselines of each position, the newest last: lifecycle, statistics and limits."""
@@ -170,7 +170,7 @@ class Experiment:
         Parameters
         ----------
         topics
-            Such as ``sets``, ``verdicts``, ``alarms``; none: all.
+            Such as ``sets``, ``assessments``, ``alarms``; none: all.
         after
             Id of the last known event; None: only new events.
         """

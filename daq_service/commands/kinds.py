@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from daq_service.alarms import states
-from daq_service.alarms.clock_trouble import CLOCK_DOUBTED
+from daq_service.alarms.clock_trouble import CLOCK_UNVERIFIED
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.clock import SimulatedClock, WallClock
 from daq_service.settings.foreign_text import WRITTEN, require_written
@@ -382,7 +382,7 @@ class Pause(Command):
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
         text = f"held by {self.author}: {self.arguments.note}"
-        test.store_event("hold", {"held": text, "author": self.author})
+        test.store_event("pause", {"held": text, "author": self.author})
         return "paused: nothing strikes until the test is resumed; due sets are missed"
 
 
@@ -398,7 +398,7 @@ class Resume(Command):
         return None if facts.held else Refusal("the test is not paused", hint)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        test.store_event("release", {"held": "", "author": self.author, "note": self.arguments.note})
+        test.store_event("resume", {"held": "", "author": self.author, "note": self.arguments.note})
         return "resumed: the next due set is taken"
 
 
@@ -410,10 +410,10 @@ class TrustClock(Command):
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
         standing = ("unacknowledged", "acknowledged")
-        if any(row.kind == CLOCK_DOUBTED and row.state in standing for row in facts.alarms):
+        if any(row.kind == CLOCK_UNVERIFIED and row.state in standing for row in facts.alarms):
             return None
         return Refusal(
-            "nobody doubts the system's clock", "The alarm clock_doubted stands while it is doubted."
+            "nobody doubts the system's clock", "The alarm clock_unverified stands while it is doubted."
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
@@ -450,14 +450,14 @@ class Disable(TransducerCommand):
         position, moment = self.arguments.position, test.moment()
         condition = states.Condition(
             position=position,
-            kind="retired",
-            severity="medium",
+            kind="transducer_disabled",
+            priority="medium",
             present=True,
             latched=True,
             message=f"retired by {self.author}: {self.arguments.note or 'no reason given'}",
-            proof={"command_id": order_id},
+            evidence={"command_id": order_id},
         )
-        change = states.update(test.alarms.get((position, "retired")), condition, moment)
+        change = states.update(test.alarms.get((position, "transducer_disabled")), condition, moment)
         assert change is not None, "a position that is not disabled has no such active alarm"
         test.change_alarms(moment, change)
         return f"{position} is disabled"

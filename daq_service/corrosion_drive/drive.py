@@ -33,15 +33,15 @@ SWITCH_OFF_BY_HAND = "Switch the supply off by hand immediately."
 HOW_TO_SWITCH_ON = "Find the cause, then switch on with `solimon supply --on`."
 
 AlarmKind = Literal[
-    "supply_lost",
+    "supply_not_responding",
     "supply_off_unexpectedly",
     "supply_on_unexpectedly",
     "supply_switch_off_pending",
-    "supply_limit",
+    "supply_current_limit",
     "supply_deviation",
     "supply_above_cap",
     "interlock_tripped",
-    "supply_unwatched",
+    "supply_watchdog_trip",
     "climate_not_responding",
 ]
 NORMAL = "returned to normal"
@@ -385,7 +385,7 @@ class SupplyLogger:
         expected_a = f"{self._parameters.minimum_current_a:g} to {limit_a:g} A"
         trip_reason = self._tripped or ""
         states: Mapping[AlarmKind, tuple[bool, str]] = {
-            "supply_lost": (
+            "supply_not_responding": (
                 self._supply_log.quality(now_ns) == "lost",
                 f"Supply not responding, output state unknown. No reading for {silent_s:.0f} s: {read_error}",
             ),
@@ -401,7 +401,7 @@ class SupplyLogger:
                 self._must_switch_off,
                 f"{SWITCH_OFF_PENDING} {read_error}. {SWITCH_OFF_BY_HAND}",
             ),
-            "supply_limit": (
+            "supply_current_limit": (
                 reading is not None and self._is_limited(reading),
                 f"Supply in current limit (CC mode), voltage below setpoint. {measured}; {limit_a:g} A set.",
             ),
@@ -414,7 +414,7 @@ class SupplyLogger:
                 f"Supply above its cap, output switched off. {trip_reason}. {HOW_TO_SWITCH_ON}",
             ),
             "interlock_tripped": (self._tripped is not None, trip_reason),
-            "supply_unwatched": ("supply_unwatched" in self._latched, trip_reason),
+            "supply_watchdog_trip": ("supply_watchdog_trip" in self._latched, trip_reason),
         }
         return tuple(
             DriveCondition(name=name, active=active, message=message if active else NORMAL)

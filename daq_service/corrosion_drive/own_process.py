@@ -167,7 +167,7 @@ class DriveProcess:
             self._drive.trip(
                 f"no recorder was heard for {silent_s:.0f} s "
                 f"(unwatched_s = {self._parameters.unwatched_s:g} s)",
-                kind="supply_unwatched",
+                kind="supply_watchdog_trip",
             )
         self.leaves = self.leaves or action == "leave"
         self.store_state()
@@ -223,7 +223,7 @@ class DriveProcess:
             return
         commanded = self._drive.state.command is not None
         if (commanded or self._drive.output() != "off") and not self._drive.trip(
-            "the process of the drive was stopped, and no other one watches", kind="supply_unwatched"
+            "the process of the drive was stopped, and no other one watches", kind="supply_watchdog_trip"
         ):
             self.store_state(at_once=True)
             raise RigError("the supply does not answer and may still be on; switch it off by hand")

@@ -337,8 +337,8 @@ class RemoteDrive:
         missing_s = self._mono_s() - (self._started_s if self._newest is None else self._newest_s)
         is_lost = not self._answers and (self._newest is not None or missing_s >= COMES_WITHIN_S)
         if is_lost or missing_s >= answered_within_s(self._parameters):
-            conditions["supply_lost"] = DriveCondition(
-                name="supply_lost",
+            conditions["supply_not_responding"] = DriveCondition(
+                name="supply_not_responding",
                 active=True,
                 message="Supply not responding, output state unknown. Its process has not answered for "
                 f"{missing_s:.0f} s.",

@@ -19,6 +19,7 @@ from daq_service.catalogue.rows import ReadingQuality, SupplyState
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
 from daq_service.processes.data_folder import DRIVE_FILE, DRIVE_LOCK, hold_lock, is_owned, lock_text
+from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS
 from daq_service.shared_file import write_durably
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -130,10 +131,10 @@ def read_stored_state(folder: Path) -> StoredState | None:
         state = values.pop("state")
         if "output_on" in state:  # file of an older version, without commands
             state["command"] = {} if state.pop("output_on") else None
-            state["latched"] = ["supply_unwatched"] if state.pop("unwatched") else []
+            state["latched"] = ["supply_watchdog_trip"] if state.pop("unwatched") else []
         command = state["command"]
         state["command"] = None if command is None else Command(**command)
-        state["latched"] = frozenset(state["latched"])
+        state["latched"] = frozenset(EARLIER_ALARM_KINDS.get(kind, kind) for kind in state["latched"])
         return StoredState(state=DriveState(**{**state, "charge": Charge(**state["charge"])}), **values)
     except FileNotFoundError:
         return None
@@ -185,7 +186,7 @@ def read_supply_status(folder: Path) -> SupplyStatus | None:
         last=stored.output,
         age_s=age_s,
         tripped=stored.state.tripped,
-        unwatched="supply_unwatched" in stored.state.latched,
+        unwatched="supply_watchdog_trip" in stored.state.latched,
         switch_off_pending=stored.state.must_switch_off,
         process=process,
         written_age_s=written_age_s,

@@ -15,7 +15,7 @@ from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition, Moment
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, Severity
+from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, Priority
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import (
@@ -35,16 +35,16 @@ from hardware_drivers.instruments import Rig
 
 log = logging.getLogger(__name__)
 
-SEVERITIES: Mapping[str, Severity] = {
-    "supply_lost": "high",
+PRIORITIES: Mapping[str, Priority] = {
+    "supply_not_responding": "high",
     "supply_off_unexpectedly": "medium",
     "supply_on_unexpectedly": "high",
     "supply_switch_off_pending": "critical",
-    "supply_limit": "medium",
+    "supply_current_limit": "medium",
     "supply_deviation": "medium",
     "supply_above_cap": "high",
     "interlock_tripped": "critical",
-    "supply_unwatched": "high",
+    "supply_watchdog_trip": "high",
     "climate_not_responding": "low",
 }
 
@@ -120,11 +120,11 @@ class DriveWatch:
             condition = Condition(
                 position=None,
                 kind=drive_condition.name,
-                family="device",
-                severity=SEVERITIES[drive_condition.name],
+                alarm_class="diagnostic",
+                priority=PRIORITIES[drive_condition.name],
                 present=drive_condition.active,
                 message=drive_condition.message,
-                proof=self.summary() if drive_condition.active else {},
+                evidence=self.summary() if drive_condition.active else {},
             )
             self._update_alarm(condition, moment, transaction)
         if transaction.events:

@@ -15,11 +15,13 @@ from collections.abc import Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
+import orjson
 from pydantic import ValidationError
 
 from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.earlier_names import current_row
 from daq_service.catalogue.errors import CatalogueError
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE, HISTORY_FILE, read_experiment
 from daq_service.catalogue.network_folder import network_filesystem
@@ -32,7 +34,14 @@ from daq_service.errors import (
 from daq_service.settings.file import load_settings
 from daq_service.settings.stored import renamed
 from daq_service.settings.tree import Settings
-from daq_service.shared_file import HINT_SUFFIX, PATIENCE_S, patiently, remove_quietly, write_durably
+from daq_service.shared_file import (
+    HINT_SUFFIX,
+    PATIENCE_S,
+    patiently,
+    read_shared,
+    remove_quietly,
+    write_durably,
+)
 
 log = logging.getLogger(__name__)
 
@@ -108,6 +117,17 @@ OWN_NAMES = SOURCES | LOCKS | CACHES
 LOCK_FILE = "recorder.lock"
 DRIVE_LOCK, DRIVE_FILE = "drive.lock", "drive.json"
 WRITE_TEST = ".write-test-"
+
+
+def backup_identity(folder: Path) -> dict[str, Any] | None:
+    """Read which test a folder is a backup of; empty where the file is invalid, None if it is no backup."""
+    try:
+        found = orjson.loads(read_shared(folder / BACKUP_FILE))
+        return current_row("experiment", found)  # those of earlier versions have no UUID
+    except FileNotFoundError:
+        return None
+    except (ValueError, LookupError, TypeError, AttributeError):
+        return {}
 
 
 def new_folder(purpose: str) -> Path:

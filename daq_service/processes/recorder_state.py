@@ -12,7 +12,7 @@ from daq_service.clock import boot_name
 from daq_service.processes.data_folder import LOCK_FILE, is_owned, lock_text
 from daq_service.processes.heartbeat import Beat, age_s, read_heartbeat
 
-RecorderStatus = Literal["running", "finished", "stopped", "silent", "absent"]
+RecorderStatus = Literal["running", "finished", "stopped", "not_responding", "not_started"]
 
 FAREWELLS: dict[str, tuple[RecorderStatus, str]] = {
     "schedule_done": ("finished", "finished: every planned set has its row"),
@@ -31,7 +31,7 @@ class RecorderState:
     ----------
     status
         "running", also where it waits for its rig; "finished" or "stopped" where its last event shows that;
-        else "silent" (past its deadline, or ended without an event) or "absent" (never ran).
+        else "not_responding" (past its deadline, or ended without an event) or "not_started" (never ran).
     description
         The status for a person, with the present activity.
     listens
@@ -73,7 +73,11 @@ def recorder_state(
     in_time = is_running and not is_late
     ended = beat is not None and age is not None and beat.stage == "ended"
     status: RecorderStatus = (
-        "running" if in_time else "absent" if beat is None and not (is_running or last_kind) else "silent"
+        "running"
+        if in_time
+        else "not_started"
+        if beat is None and not (is_running or last_kind)
+        else "not_responding"
     )
     description = _description(beat, age, is_running=is_running, is_late=is_late, has_started=bool(last_kind))
     if last_kind in FAREWELLS and (ended or not in_time):
@@ -111,7 +115,7 @@ def read_recorder_state(folder: Path, kinds: Sequence[str]) -> RecorderState:
             "stores it when the folder is back: bring it back"
         )
         return RecorderState(
-            status="silent", description=description, listens=False, beat=None, beat_age_s=None
+            status="not_responding", description=description, listens=False, beat=None, beat_age_s=None
         )
     beat, owned = read_heartbeat(folder), is_owned(folder)
     if owned and beat is not None:

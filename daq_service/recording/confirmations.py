@@ -143,8 +143,8 @@ class Confirmations:
         transaction.add_event(CONFIRMATION_ASKED, one.payload(), moment, position=position)
         return one
 
-    def proof(self, condition: Condition, planned_set: int) -> dict[str, Any]:
-        """Give what a confirmation set among the last sets adds to the proof of a change."""
+    def evidence(self, condition: Condition, planned_set: int) -> dict[str, Any]:
+        """Give what a confirmation set among the last sets adds to the evidence of a change."""
         last = self._last_results.get(condition.position or "")
         known = last is not None and planned_set - last.after_set < self._rules.n
         if last is None or not known or condition.kind not in ALARMS_OF_CHANGE:

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from daq_service.acquisition.schedule import DueSet
 from daq_service.archive import ArchiveError, OpenSet, SetReader, SetRecord
+from daq_service.catalogue.earlier_names import current_row
 from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
 from daq_service.catalogue.experiment_file import (
     EXPERIMENT_FILE,
@@ -54,15 +55,18 @@ def _of_the_files(archive: SetReader) -> ExperimentRow | None:
         configuration = stored.get("configuration")
         if not configuration or "configuration_hash" not in stored:
             continue
-        return ExperimentRow(
-            name=configuration["name"],
-            configuration_hash=stored["configuration_hash"],
-            configuration=configuration,
-            created_utc_ns=_hour_0(record),
-            epoch_utc_ns=_hour_0(record),
-            clock=configuration["clock"]["kind"],
-            solimon_version=stored["versions"]["solimon"],
-        )
+        identity = {name: stored.get("experiment", {}).get(name) for name in ("uuid", "site")}
+        row = {
+            "name": configuration["name"],
+            "configuration_hash": stored["configuration_hash"],
+            "configuration": configuration,
+            "created_utc_ns": _hour_0(record),
+            "epoch_utc_ns": _hour_0(record),
+            "clock": configuration["clock"]["kind"],
+            "solimon_version": stored["versions"]["solimon"],
+            **{name: value for name, value in identity.items() if value is not None},
+        }
+        return ExperimentRow(**current_row("experiment", row))
     return None
 
 

@@ -55,7 +55,7 @@ def is_transient(trouble: InstrumentError, *, proven: bool) -> bool:
 
 
 class OpeningAlarm:
-    """Raises ``rig_unavailable`` while the rig cannot be opened, and clears what it raised.
+    """Raises ``instruments_unavailable`` while the rig cannot be opened, and clears what it raised.
 
     An alarm that a set has raised is left to the next set: a rig that opens may still not respond.
     """
@@ -81,7 +81,7 @@ class OpeningAlarm:
             change = None
         if change is not None:
             row, kind = change.row, change.event_kind
-            self._report("alarm", change=kind, hour=moment.due_h, severity=row.severity, message=row.message)
+            self._report("alarm", change=kind, hour=moment.due_h, priority=row.priority, message=row.message)
         elif condition.present and not self._reported:
             self._report("waits", why=condition.message)
         self._reported = condition.present
@@ -89,7 +89,7 @@ class OpeningAlarm:
     def _carried(self, condition: Condition, moment: Moment) -> Change | None:
         rows = self._catalogue.rows(AlarmRow, kind=condition.kind)
         row = rows[-1] if rows else None
-        if not condition.present and row is not None and row.proof.get("set_index") is not None:
+        if not condition.present and row is not None and row.evidence.get("set_index") is not None:
             return None
         change = update(row, condition, moment)
         if change is not None:

@@ -180,9 +180,9 @@ class Persistence:
     def start_verification(self) -> None:
         """Find stored sets that are missing; report them and the files in quarantine."""
         if self._verification is not None:
-            alarm = self._set_assessor.alarms.get((None, "data_damaged"))
+            alarm = self._set_assessor.alarms.get((None, "data_corrupt"))
             stands = alarm is not None and alarm.state in ("unacknowledged", "acknowledged")
-            self._verification.begin(alarm.proof.get("damaged", {}) if alarm and stands else {})
+            self._verification.begin(alarm.evidence.get("damaged", {}) if alarm and stands else {})
         self._report_corruption(at_the_start=True)
 
     def use_reserve(self) -> None:
@@ -257,7 +257,7 @@ class Persistence:
         self._reported_corruption = damaged
         for file, description in new.items():
             log.error("%s: %s", file, description)
-            self.say("data_damaged", {"file": file, "told": description})
+            self.say("data_corrupt", {"file": file, "description": description})
         aside = [file for file in self._archive.quarantined() if file not in damaged]
         condition = damage_condition(aside, damaged)
         self._retry_queue.put(partial(self._set_assessor.update_alarm, condition, self._moment()))

@@ -27,7 +27,7 @@ def provenance(settings: Settings, rig: Rig, *, experiment: ExperimentRow) -> di
     return {
         "configuration": settings.model_dump(mode="json"),
         "configuration_hash": experiment.configuration_hash,
-        "experiment": {"name": experiment.name, "epoch_utc_ns": experiment.epoch_utc_ns},
+        "experiment": {name: getattr(experiment, name) for name in ("name", "uuid", "site", "epoch_utc_ns")},
         "rig_identity": dict(rig.identity),
         "host": platform.node(),
         "platform": platform.platform(),

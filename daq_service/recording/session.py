@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+import uuid
 from collections.abc import Callable
 from contextlib import AbstractContextManager, ExitStack, closing, suppress
 from dataclasses import asdict, replace
@@ -16,7 +17,7 @@ from typing import Any
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive, FolderArchive, Results, SetRecord, SetReference
 from daq_service.archive.waterfall.cells import anchors_of
-from daq_service.assessment.results_in_file import results_in
+from daq_service.assessment.results_in_file import newest_results
 from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
@@ -25,11 +26,12 @@ from daq_service.background.verification import IdleVerification
 from daq_service.background.write_retry_queue import PASSING
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
-from daq_service.catalogue.experiment_file import keep_experiment
+from daq_service.catalogue.experiment_file import keep_experiment, write_experiment
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
+from daq_service.processes.data_folder import backup_identity
 from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
 from daq_service.processes.lost_catalogue import is_catalogue_lost
 from daq_service.processes.lost_sets import lost_sets
@@ -90,6 +92,7 @@ def record(
         catalogue = stack.enter_context(open_catalogue(folder, writer=True, settings=settings))
         not_running_reason = _why_not_running(catalogue, last_beat, options.restart_reason)
         epoch_ns = _experiment_epoch(catalogue, settings)
+        _separate_copy(folder, catalogue, epoch_ns)
         keep_experiment(folder, catalogue.experiment_row())
         if rebuilt:
             _note_rebuilt(catalogue, rebuilt, epoch_ns)
@@ -177,7 +180,7 @@ def _with_background_tasks(
             return None
         return partial(add_record_to_tiles, folder, experiment, anchors_of(results))
 
-    results, files = partial(results_in, catalogue), partial(catalogue.files_but_of, ())
+    results, files = partial(newest_results, catalogue), partial(catalogue.files_but_of, ())
     finalizer = SetFinalizer(
         folder, archive, start=bare.host.worker, results=results, filed=note_file, also=tiles
     )
@@ -268,8 +271,23 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
         epoch_utc_ns=parse_utc(settings.clock.epoch) if simulated else hour_0(time.time_ns()),
         clock=settings.clock.kind,
         solimon_version=version("solimon"),
+        site=settings.site or None,
     )
     return row.epoch_utc_ns
+
+
+def _separate_copy(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int) -> None:
+    """Give a backup that continues the test a UUID of its own; the original keeps its UUID."""
+    row, original = catalogue.experiment_row(), backup_identity(folder)
+    if original is None or original.get("uuid") != row.uuid:
+        return
+    separated = replace(row, uuid=str(uuid.uuid4()))
+    catalogue.restore([separated])
+    write_experiment(folder, separated)
+    payload = {"uuid": separated.uuid, "original_uuid": row.uuid}
+    utc_ns = catalogue.last_ended_utc_ns() or epoch_ns
+    catalogue.add_event(utc_ns=utc_ns, topic="service", kind="copy_continued", payload=payload)
+    log.warning("this folder is a backup: it continues as test %s", separated.uuid)
 
 
 def _resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int) -> int:

@@ -140,7 +140,7 @@ class SetAssessor:
         suspicions: dict[str, str] = {}
         for position in self.positions_of(due):
             if position not in causes:
-                cause = retired.get(position, "retired")
+                cause = retired.get(position, "disabled")
                 transaction.sets.append(
                     without_records(self._settings, due, position, retired=True, cause=cause)
                 )
@@ -165,9 +165,9 @@ class SetAssessor:
             transaction.add_position(row, measurements, position_result, moment, record.outcomes)
             suspicions[position] = position_result.suspicion
             for condition in position_result.conditions:
-                further = self.confirmations.proof(condition, due.set_index)
+                further = self.confirmations.evidence(condition, due.set_index)
                 self._carry_alarm(
-                    replace(condition, proof=dict(condition.proof) | further), moment, transaction
+                    replace(condition, evidence=dict(condition.evidence) | further), moment, transaction
                 )
         rig_now = _rig_condition(self._settings, due, record, proven=self.proven)
         if due.position is not None:
@@ -228,7 +228,11 @@ class SetAssessor:
             transaction.add_event(DELAY_EVENT, delay, moment, position=condition.position, topic="alarms")
         change = None if to_follow is None else update(row, to_follow, moment)
         if change is not None:
-            if self.drive is not None and condition.kind == "hole" and change.event_kind == "alarm_raised":
+            if (
+                self.drive is not None
+                and condition.kind == "no_reflection"
+                and change.event_kind == "alarm_raised"
+            ):
                 # At once: through a hole the solution reaches what it should not, and the current with it.
                 self.drive.trip(condition.message, moment.due_h)
             transaction.add_alarm(change, moment)
@@ -342,7 +346,7 @@ def without_records(settings: Settings, due: DueSet, position: str, *, retired: 
         method=settings.positions[position].method,
         due_utc_ns=due.due_utc_ns,
         due_h=due.due_h,
-        state="retired" if retired else "missed",
+        state="disabled" if retired else "missed",
         cause=cause or None,
         n_planned=0 if retired else records_planned(settings, position),
         purpose=None if due.position is None else "confirmation",
@@ -385,6 +389,6 @@ def _report_changes(transaction: Transaction, news: Callable[..., None]) -> None
             "alarm",
             change=transaction.events[at].kind,
             hour=alarm.raised_h + since_h,
-            severity=alarm.severity,
+            priority=alarm.priority,
             message=alarm.message,
         )

@@ -109,8 +109,10 @@ def _forward_messages(receiver: Connection, compiling: Callable[[bool], None]) -
 
 
 def records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
-    """Compute records of strikes in the worker (`Specimen.solitary_waves`)."""
-    return _specimen(settings_json).solitary_waves(strikes)
+    """Compute records of strikes and their features in the worker (`Specimen.solitary_waves`)."""
+    from daq_service.acquisition.taken_set import analysed
+
+    return analysed(_specimen(settings_json).solitary_waves(strikes))
 
 
 @cache
@@ -130,6 +132,8 @@ def _specimen(settings_json: str) -> Specimen:
 def _prepare(settings_json: str, sender: Connection | None) -> None:
     """Build the specimen before the first strike."""
     leave_with_parent()
+    import daq_service.acquisition.taken_set  # noqa: F401 - while the recorder opens the test
+
     if sender is not None:
         from simulator.numerics.machine_code import compilation_reported
 

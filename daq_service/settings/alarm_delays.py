@@ -3,18 +3,36 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from types import MappingProxyType
 
 from pydantic import BaseModel, ConfigDict, Field
 
 DAY_S = 86_400.0
+EARLIER_ALARM_KINDS: Mapping[str, str] = MappingProxyType(
+    {
+        "not_assessed": "not_assessed",
+        "hole": "no_reflection",
+        "thickness_low": "thickness_low",
+        "few_valid_shots": "few_valid_shots",
+        "retired": "transducer_disabled",
+        "instruments_unavailable": "instruments_unavailable",
+        "data_corrupt": "data_corrupt",
+        "write_failed": "write_failed",
+        "clock_unverified": "clock_unverified",
+        "supply_not_responding": "supply_not_responding",
+        "supply_current_limit": "supply_current_limit",
+        "supply_watchdog_trip": "supply_watchdog_trip",
+    }
+)
+"""Current kinds of alarms by their names in earlier versions, for stored rows and configurations."""
 LONGEST_DELAY_S: Mapping[str, float] = {
-    **dict.fromkeys(("wall_change", "transducer_change", "thickness", "no_data"), DAY_S),
-    **dict.fromkeys(("supply_lost", "supply_off_unexpectedly", "supply_limit"), 10.0),
+    **dict.fromkeys(("wall_change", "transducer_change", "thickness_low", "few_valid_shots"), DAY_S),
+    **dict.fromkeys(("supply_not_responding", "supply_off_unexpectedly", "supply_current_limit"), 10.0),
 }
 """By kind. What is absent follows its condition at once: something has been done already that hangs on the
 alarm (a transducer retired, an interlock opened, files named), or nobody might tell later (the recorder has
 stopped, the disk does not take the event, the clock itself is doubted)."""
-DEAD_BAND_KINDS = ("wall_change", "transducer_change", "thickness")
+DEAD_BAND_KINDS = ("wall_change", "transducer_change", "thickness_low")
 """Kinds that compare a measured quantity with a limit and have no dead-band of their own."""
 
 

@@ -7,14 +7,15 @@ settings only name the place, so that no log, answer or copy of the configuratio
 from __future__ import annotations
 
 import re
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS
 from daq_service.settings.web import LOOPBACK
 
-Severity = Literal["low", "medium", "high", "critical"]
+Priority = Literal["low", "medium", "high", "critical"]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,31}$")]
 SHORTEST_FOR_PEOPLE_S = 3600.0
 """Between two heartbeat messages by e-mail or chat."""
@@ -111,7 +112,7 @@ class RuleSettings(_Table):
 
     receivers: tuple[Name, ...] = ()
     """Their names; empty: all."""
-    severity: Severity = "medium"
+    priority: Priority = "medium"
     """The lowest that is told."""
     positions: tuple[str, ...] = ()
     """Alarms of these positions; empty: of all, and those of the rig, the disk and the clock."""
@@ -124,6 +125,17 @@ class RuleSettings(_Table):
     returned: bool = True
     """Tell, too, when an alarm is over."""
 
+    @model_validator(mode="before")
+    @classmethod
+    def _current_names(cls, values: Any) -> Any:
+        """Accept the key and the kinds of alarm of earlier versions."""
+        if not isinstance(values, dict):
+            return values
+        current = {"priority" if name == "priority" else name: value for name, value in values.items()}
+        if isinstance(kinds := current.get("kinds"), list | tuple):
+            current["kinds"] = [EARLIER_ALARM_KINDS.get(kind, kind) for kind in kinds]
+        return current
+
 
 class NotificationSettings(_Table):
     """Notifications by the web service."""
@@ -131,7 +143,7 @@ class NotificationSettings(_Table):
     receivers: dict[Name, ReceiverSettings] = Field(default_factory=dict, max_length=MOST_RECEIVERS)
     """Receivers by name; without any nothing is sent."""
     rules: tuple[RuleSettings, ...] = Field(default=(RuleSettings(),), min_length=1, max_length=100)
-    """Absent: every alarm of severity medium or more to all receivers."""
+    """Absent: every alarm of priority medium or more to all receivers."""
     give_up_h: float = Field(default=24.0, gt=0.0, le=720.0)
     """What could not be delivered for so long is given up, which the log of deliveries tells."""
 

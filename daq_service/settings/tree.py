@@ -19,7 +19,7 @@ from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, Settings
 from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, HoleRule
 from analysis.waves.quality_gate import MINIMUM_VALID_SHOTS, RESTRIKE_FLAGS, RestrikeFlag, RestrikeRule
 from daq_service.clock import parse_utc
-from daq_service.settings.alarm_delays import AlarmKindSettings
+from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS, AlarmKindSettings
 from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.web import WebSettings
@@ -38,6 +38,7 @@ FILLED_AT_MOST = 0.99
 """Of the time from set to set by strikes: a set that fills all of it begins later each time, until one is
 missed."""
 HASHED_OUT: Mapping[str, Any] = {
+    "site": True,
     "web": True,
     "notifications": True,
     "clock": {"pace_h_per_s", "doubt_after_h"},
@@ -184,7 +185,7 @@ class QualitySettings(Section):
     restrikes_per_set: int = Field(default=RestrikeRule().restrikes_per_set, ge=0, le=1000)
     """Repetitions of each transducer in a set; 0: none."""
     no_data_sets: int = Field(default=2, ge=1, le=1000)
-    """Sets running with too few valid shots (`baseline.minimum_valid_shots`) that raise `no_data`."""
+    """Sets running with too few valid shots (`baseline.minimum_valid_shots`) that raise `few_valid_shots`."""
     retire_after_sets: int = Field(default=10, ge=0, le=100_000)
     """Consecutive such sets after which the transducer is disabled until `solimon enable`; 0: never."""
 
@@ -246,6 +247,13 @@ class AlarmSettings(Section):
     """Sets beside the plan that suspicion may ask for at a transducer within 24 h of the test; 0: none."""
     kinds: dict[str, AlarmKindSettings] = Field(default_factory=dict)
     """Delays and dead-band by kind of alarm; a kind that is not named follows its condition at once."""
+
+    @field_validator("kinds", mode="before")
+    @classmethod
+    def _current_kinds(cls, kinds: object) -> object:
+        if not isinstance(kinds, Mapping):
+            return kinds
+        return {EARLIER_ALARM_KINDS.get(kind, kind): rule for kind, rule in kinds.items()}
 
     @field_validator("kinds")
     @classmethod
@@ -312,6 +320,8 @@ class Settings(BaseSettings):
 
     name: str = Field(default="Localized corrosion of a steel plate", min_length=1, max_length=200)
     """Name of the experiment."""
+    site: str = Field(default="", max_length=200)
+    """Where the test runs, for readers of its files; stored when the test is created."""
     clock: ClockSettings = ClockSettings()
     schedule: ScheduleSettings = ScheduleSettings()
     rig: RigSettings = RigSettings()

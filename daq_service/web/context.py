@@ -13,7 +13,7 @@ from typing import Annotated, Any
 from fastapi import Depends, FastAPI
 from starlette.requests import HTTPConnection
 
-from daq_service.alarms.evidence import proof_sentences
+from daq_service.alarms.evidence import evidence_sentences
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.image import WaterfallReader
 from daq_service.catalogue.access import CatalogueAccess
@@ -212,7 +212,7 @@ class Freshness(freshness.Freshness):
         """Return a row of the catalogue for an answer: times as text, and its age if it has an hour."""
         if isinstance(row, AlarmRow):
             row = self.standing(row)
-            extra_columns |= {"proof_sentences": proof_sentences(row, self._baselines)}
+            extra_columns |= {"evidence_sentences": evidence_sentences(row, self._baselines)}
         answer = with_utc({**values(row), **extra_columns}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
         return answer if dated_h is None else answer | {"age_h": self.age_h(dated_h)}

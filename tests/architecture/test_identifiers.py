@@ -11,15 +11,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 REFUSED = (ROOT / "tests/architecture/refused_words.txt").read_text().split()
-EXEMPT = {
-    "told": "key of `verify --json`, `replay --json`, notifications.jsonl and the API",
-    "cause_told": "column and key of an assessment",
-    "last_verdict": "key of the API and of `status --json`",
-    "retired_because": "column of baselines, key of the API",
-    "suppressed_because": "column and key of an alarm",
-    "verdicts": "table of the catalogue",
-    "tell": "method of Python's file objects",
-}
+EXEMPT = {"tell": "method of Python's file objects"}
 """Identifier: the reason why it keeps its name."""
 
 

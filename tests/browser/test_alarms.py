@@ -21,13 +21,13 @@ def service(tmp_path_factory):
     ) as filled:
         for position in "BCD":
             filled.add_alarm(position, N_SETS - 2)
-        filled.add_alarm(None, N_SETS - 1, severity="low", kind="disk_space", message="little is free")
+        filled.add_alarm(None, N_SETS - 1, priority="low", kind="disk_space", message="little is free")
         thin = {"set_index": N_SETS - 2, "thickness_m": 6.2e-3, "limit_m": 6.3e-3, "rule": {"k": 3, "n": 5}}
-        filled.add_alarm("A", N_SETS - 2, kind="thickness", proof=thin)
-        poor = {"set_index": N_SETS - 2, "poor_sets_running": 2, "minimum_valid_shots": 7}
-        filled.add_alarm("D", N_SETS - 2, kind="no_data", severity="medium", proof=poor)
+        filled.add_alarm("A", N_SETS - 2, kind="thickness_low", evidence=thin)
+        poor = {"set_index": N_SETS - 2, "consecutive_poor_sets": 2, "minimum_valid_shots": 7}
+        filled.add_alarm("D", N_SETS - 2, kind="few_valid_shots", priority="medium", evidence=poor)
         hole = {"set_index": N_SETS - 2, "shots_without_psw": 10, "rule": {"shots": 7, "consecutive_sets": 2}}
-        filled.add_alarm("C", N_SETS - 2, kind="hole", proof=hole)
+        filled.add_alarm("C", N_SETS - 2, kind="no_reflection", evidence=hole)
         filled.say("schedule_done", filled.due[-1].due_utc_ns)
     with served(filled.settings, filled.folder) as running:
         yield running
@@ -133,7 +133,7 @@ def test_the_evidence_has_sentences_and_a_figure_that_opens_each_set(service, op
     expect(box).to_contain_text("time of flight between the peaks 70 %, amplitude ratio 30 %")
     drawn = "document.getElementById('evidence-chart-1')?.snapshot()"
     until(lambda: page.evaluate(f"{drawn}?.drawn"), "the sets around the alarm are drawn")
-    asked = "fetch('/api/v1/verdicts?position=B&limit=1000').then((answer) => answer.json())"
+    asked = "fetch('/api/v1/assessments?position=B&limit=1000').then((answer) => answer.json())"
     rows = {row["set_index"]: row for row in page.evaluate(asked)["items"]}
     shown = page.evaluate(drawn)
     # The alarm is of the last set but one: twelve before it, and what there is behind.
@@ -167,7 +167,7 @@ def test_the_evidence_has_sentences_and_a_figure_that_opens_each_set(service, op
 @pytest.mark.parametrize(
     ("number", "column", "factor", "limit", "sets"),
     [(5, "thickness?position=A", 1e3, 6.3, 5), (6, "sets?position=D", 1, 7, 2)],
-    ids=["thickness", "no_data"],
+    ids=["thickness_low", "few_valid_shots"],
 )
 def test_the_figure_shows_the_quantity_that_the_kind_assesses(page, number, column, factor, limit, sets):
     alarm(page, number).get_by_text("Proof", exact=True).click()
@@ -202,7 +202,7 @@ def test_the_list_is_filtered(page):
     expect(shown).to_have_count(1)
     page.get_by_label("Alarms by state").select_option("all")
     page.get_by_label("Alarms by position").select_option("")
-    page.get_by_label("Alarms by severity").select_option("low")
+    page.get_by_label("Alarms by priority").select_option("low")
     expect(shown).to_have_count(1)
     expect(shown).to_contain_text("little is free")
 

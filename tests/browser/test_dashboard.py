@@ -99,11 +99,11 @@ def assert_drawn_is_the_api(page, service, position="B"):
     for name in ("distance", "tof", "amplitudeRatio"):
         assert charts[name]["x"] == trend["due_h"]
     assert charts["distance"]["y"]["distance_squared"] == trend["distance_squared"]
-    assert charts["distance"]["y"]["limit_f"] == trend["limit_f"]
-    assert charts["distance"]["y"]["limit_paper"] == trend["limit_paper"]
-    assert charts["chart"]["y"]["chart"] == trend["chart"]
-    if any(value is not None for value in trend["chart"]):
-        assert set(charts["chart"]["y"]["limit_chart"]) == {LIMIT_CHART}
+    assert charts["distance"]["y"]["limit_f_predictive"] == trend["limit_f_predictive"]
+    assert charts["distance"]["y"]["limit_mean_3sd"] == trend["limit_mean_3sd"]
+    assert charts["chart"]["y"]["mewma_statistic"] == trend["mewma_statistic"]
+    if any(value is not None for value in trend["mewma_statistic"]):
+        assert set(charts["chart"]["y"]["mewma_limit"]) == {LIMIT_CHART}
     assert charts["amplitudeRatio"]["y"]["amplitude_ratio"] == trend["amplitude_ratio"]
     # The page multiplies by the same double as here: equal to the last bit.
     assert charts["tof"]["y"]["tof_pp_us"] == [value * 1e6 for value in trend["tof_pp_s"]]
@@ -193,7 +193,7 @@ def test_a_baseline_that_is_assessed_later_is_drawn_again(tmp_path, open_page):
             due = filled.due[2]
             event = EventRow(
                 utc_ns=due.due_utc_ns,
-                topic="verdicts",
+                topic="assessments",
                 kind="baseline_frozen",
                 position="B",
                 set_index=2,
@@ -223,7 +223,7 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
     filled.acknowledge(alarm_id, command)
     expect(alarms).to_contain_text("damage alarm, acknowledged by dashboard")
     expect(acknowledging).to_have_count(0)
-    # The proof stays open, and a new set comes into its picture.
+    # The evidence stays open, and a new set comes into its picture.
     last = f"document.getElementById('evidence-chart-{alarm_id}')?.snapshot()?.opens.at(-1)"
     until(lambda: page.evaluate(last) == N_SETS - 1, "the sets so far are drawn")
     filled.add_set(N_SETS, stored=False)
@@ -232,7 +232,7 @@ def test_an_alarm_appears_and_its_acknowledgement_becomes_a_command(filled, serv
 
 def test_an_unverified_clock_is_trusted_from_its_alarm(ordering):
     filled, page = ordering
-    filled.add_alarm(None, N_SETS - 1, kind="clock_doubted", message="the system's clock says 2010")
+    filled.add_alarm(None, N_SETS - 1, kind="clock_unverified", message="the system's clock says 2010")
     alarms = page.locator("#alarms")
     expect(alarms).to_contain_text("the system's clock says 2010")
     alarms.get_by_role("button", name="The clock is right").click()
@@ -303,7 +303,7 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     expect(page.locator("#pause")).to_have_text(SENT)
     answer(filled, "pause", {"note": "hands in the rig"})
     at = filled.due[N_SETS - 1].due_utc_ns
-    filled.say("hold", at, held="held by dashboard: hands in the rig", author="dashboard")
+    filled.say("pause", at, held="held by dashboard: hands in the rig", author="dashboard")
     expect(banner).to_contain_text("Held by dashboard: hands in the rig")
     expect(banner).to_contain_text("Nothing strikes until the test is resumed")
     expect(page.locator("#pause")).to_be_hidden()
@@ -314,7 +314,7 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     page.get_by_role("button", name="Resume test").click()
     expect(page.locator("#resume")).to_have_text(SENT)
     answer(filled, "resume", {"note": ""})
-    filled.say("release", at, held="", author="dashboard")
+    filled.say("resume", at, held="", author="dashboard")
     expect(banner).to_be_hidden()
     expect(page.locator("#pause")).to_have_text("Pause")
 
@@ -342,7 +342,7 @@ def test_a_disabled_transducer_is_shown_with_its_reason_and_enabled(ordering):
     filled.retire("C", N_SETS)
     expect(page.locator("#disabled")).to_contain_text("Position C: 10 sets running with nothing at C")
     tile = page.locator('.tile[data-position="C"]')
-    expect(tile).to_have_attribute("data-state", "retired")
+    expect(tile).to_have_attribute("data-state", "disabled")
     page.get_by_role("button", name="Enable: position C").click()
     expect(page.get_by_role("dialog", name="Enable position C")).to_contain_text("hands out of the rig")
     page.keyboard.press("Escape")
@@ -387,7 +387,7 @@ def test_positions_are_chosen_by_keyboard_and_charts_read_by_it_and_as_a_table(h
 def test_phone_width_shows_everything_without_sideways_scrolling(filled, service, open_page):
     filled.add_environment(N_SETS - 1)
     filled.retire("C", N_SETS)
-    filled.say("hold", filled.due[N_SETS - 1].due_utc_ns, held=f"held by ann: {'very long reason ' * 10}")
+    filled.say("pause", filled.due[N_SETS - 1].due_utc_ns, held=f"held by ann: {'very long reason ' * 10}")
     page = open_page(service.url, viewport=PHONE)
     for color_scheme in ("light", "dark"):
         page.emulate_media(color_scheme=color_scheme)
@@ -513,7 +513,12 @@ def test_labels_on_a_chart_start_at_their_hour_and_do_not_overlap(filled, servic
 
 def test_a_diagnosed_wall_is_shown_on_its_tile_with_the_chart_and_its_limit(filled, service, open_page):
     assessment = filled.assessment("C", N_SETS - 1, 30.0)
-    named = {"chart": 4.0 * LIMIT_CHART, "chart_alarm": True, "cause": "wall", "cause_probability": 0.972}
+    named = {
+        "mewma_statistic": 4.0 * LIMIT_CHART,
+        "mewma_alarm": True,
+        "diagnosis": "wall",
+        "diagnosis_probability": 0.972,
+    }
     filled.add_alarm("C", N_SETS - 1)
     filled.catalogue.commit_set(SetCommit(assessments=[replace(assessment, set_index=N_SETS, **named)]))
     page = open_page(service.url)

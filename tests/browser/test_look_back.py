@@ -37,10 +37,10 @@ def filled(tmp_path_factory):
         def with_an_outlier(position, index, hour):
             row = make_assessment(position, index, hour)
             if position == "D" and index >= RENEWED:
-                return replace(row, in_baseline=True, chart=None)
+                return replace(row, in_baseline=True, mewma_statistic=None)
             if (position, index) != ("B", OUTLIER):
                 return row
-            return replace(row, distance_squared=400.0, outlier=True, outlier_paper=True)
+            return replace(row, distance_squared=400.0, outlier=True, outlier_mean_3sd=True)
 
         folder.assessment = with_an_outlier
         for index in range(N_SETS):
@@ -87,7 +87,7 @@ class TestSets:
         )
         with service.client() as api:
             (feature,) = api.get(f"/api/v1/features?position=B&set_index={LAST}").json()["items"]
-            (assessment,) = api.get(f"/api/v1/verdicts?position=B&set_index={LAST}").json()["items"]
+            (assessment,) = api.get(f"/api/v1/assessments?position=B&set_index={LAST}").json()["items"]
         assert [mark["name"] for mark in shown["marks"]] == ["ISW", "PSW"]
         assert shown["marks"][1]["time_s"] == feature["psw_time_s"]
         assert set(shown["windows_s"]) == {"ISW", "PSW", "SSW"}
@@ -285,7 +285,7 @@ def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
     index = 1 + filled.catalogue.rows(SetRow, position="B")[-1].set_index
     filled.retire("C", index)
     filled.add_environment(index)
-    filled.say("hold", filled.due[index].due_utc_ns, held="held by ann: hands in the rig")
+    filled.say("pause", filled.due[index].due_utc_ns, held="held by ann: hands in the rig")
     off = DriveState(tripped="no recorder was heard")
     write_stored_state(filled.folder, stored_state_now(off, output="off", age_s=2.0))
     # The experiment has gone on for hours without a set.
@@ -297,13 +297,13 @@ def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
     expect(page.locator('#environment [data-quality="lost"]')).to_be_visible()
     expect(page.locator('#environment [data-quality="stale"]')).to_be_visible()
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
-    expect(page.locator('.tile[data-position="C"]')).to_have_attribute("data-state", "retired")
+    expect(page.locator('.tile[data-position="C"]')).to_have_attribute("data-state", "disabled")
     axe = Axe()
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)
         found = axe.run(page)
         assert found.violations_count == 0, found.generate_report()
-    filled.say("release", filled.due[index].due_utc_ns, held="")
+    filled.say("resume", filled.due[index].due_utc_ns, held="")
     filled.reinstate("C")
 
 
@@ -341,7 +341,7 @@ def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(fi
     old, new = values[:48].mean(), values[RENEWED:].mean()
     np.testing.assert_allclose(shown[:RENEWED], 100.0 * (values[:RENEWED] / old - 1.0), rtol=0, atol=1e-9)
     np.testing.assert_allclose(shown[RENEWED:], 100.0 * (values[RENEWED:] / new - 1.0), rtol=0, atol=1e-9)
-    limit = dashboard(page, "charts.chart.y")["limit_chart"]
+    limit = dashboard(page, "charts.chart.y")["mewma_limit"]
     assert limit == [LIMIT_CHART] * RENEWED + [None] * (count - RENEWED)
     card = page.locator("#baseline")
     card.locator("summary").press("Enter")
@@ -356,6 +356,6 @@ def test_disabled_and_paused_intervals_are_marked(filled, service, open_page):
     filled.retire("D", index)
     page.locator('.tile[data-position="D"]').click()
     hour = filled.due[index].due_h
-    mark = {"from_h": hour, "to_h": hour, "label": "retired", "tone": "alarm"}
+    mark = {"from_h": hour, "to_h": hour, "label": "disabled", "tone": "alarm"}
     until(lambda: mark in dashboard(page, "charts.tof.ranges"), "the retirement is marked")
     filled.reinstate("D")

@@ -16,7 +16,7 @@ pytestmark = pytest.mark.browser
 
 SUPPLY = {"line": {"port": "/dev/none"}, "identity": "MAKER,MODEL", "voltage_v": 9.0, "voltage_cap_v": 11.0}
 
-READINESS = {
+BASELINE_QUALITY = {
     "n": 47,
     "n_left_out": 1,
     "n_eff": 33.6,
@@ -25,8 +25,8 @@ READINESS = {
     "named": [{"kind": "group", "set_indices": [3, 4, 5]}, {"kind": "trend", "set_indices": [0, 47]}],
     "advice": "200 sets and more are advised, 47 are there",
     "false_alarms_per_sensor_year": 0.2,
-    "rate_guaranteed": False,
-    "why_not_guaranteed": "47 sets cannot show slow memory",
+    "rate_verified": False,
+    "rate_not_verified_reason": "47 sets cannot show slow memory",
 }
 
 
@@ -36,12 +36,12 @@ def filled(tmp_path_factory):
         for index in range(3):
             folder.add_set(index, stored=False, shown=index == 2)
         folder.add_alarm("B", 2)
-        retired = {"retired_by": "ben", "retired_because": "coupled anew", "retired_utc_ns": folder.epoch_ns}
+        retired = {"retired_by": "ben", "retired_reason": "coupled anew", "retired_utc_ns": folder.epoch_ns}
         second = {
             "name": "B-baseline-2",
             "state": "proposed",
             "approval": "by_a_person",
-            "readiness": READINESS,
+            "baseline_quality": BASELINE_QUALITY,
         }
         rows = [frozen_baseline("B", state="retired", **retired), frozen_baseline("B", **second)]
         folder.catalogue.commit_set(SetCommit(baselines=rows))
@@ -166,13 +166,15 @@ def test_a_baseline_shows_its_quality_and_is_approved_or_renewed(filled, shared)
 def test_a_baseline_without_limits_is_shown_and_cannot_be_approved(filled, service, open_page):
     why = "a baseline of 14 sets; it needs 15"
     nothing = {
-        "limit_f": None,
-        "limit_paper": None,
+        "limit_f_predictive": None,
+        "limit_mean_3sd": None,
         "distance_squared": None,
         "outlier": None,
         "limits": None,
     }
-    refused = frozen_baseline("D", id=4, state="proposed", limit_f=None, limits=None, limit_reason=why)
+    refused = frozen_baseline(
+        "D", id=4, state="proposed", limit_f_predictive=None, limits=None, limit_reason=why
+    )
     assessment = replace(filled.assessment("D", 2, 1.5), **nothing, in_baseline=False, reason=why)
     filled.catalogue.commit_set(SetCommit(baselines=[refused]))
     filled.catalogue.commit_set(SetCommit(assessments=[replace(assessment, set_index=3)]))

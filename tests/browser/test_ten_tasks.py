@@ -122,7 +122,7 @@ def do(page, step):
 
 
 def is_the_shot_of_the_first_outlier(page, api, filled):
-    assessments = api("/verdicts?position=C&limit=1000").json()["items"]
+    assessments = api("/assessments?position=C&limit=1000").json()["items"]
     first = min(row["set_index"] for row in assessments if row["outlier"])
     expect(page.locator("#set")).to_have_attribute("data-set", f"C {first}")
     assert query(page) == {"position": "C", "set": str(first), "shot": "0"}

@@ -363,7 +363,7 @@ def test_no_difference_is_requested_before_a_baseline_exists(tmp_path, open_page
             due = filled.due[0]
             event = EventRow(
                 utc_ns=due.due_utc_ns,
-                topic="verdicts",
+                topic="assessments",
                 kind="baseline_frozen",
                 position="B",
                 set_index=0,

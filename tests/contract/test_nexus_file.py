@@ -9,7 +9,7 @@ from datetime import datetime
 import h5py
 import numpy as np
 import pytest
-from support.archived_sets import CURVED, make_echo, make_set, make_shot
+from support.archived_sets import CURVED, make_echo, make_set, make_shot, other_set
 
 from daq_service.archive.layout import build_image
 
@@ -236,6 +236,13 @@ def test_facts_and_causes_are_in_the_file(file):
     assert table["n_taken"][()].tolist() == [1, 3, 1, 0]
     assert json.loads(entry["provenance/data"][0]) == make_set().provenance
     assert text(entry["provenance/type"][()]) == "application/json"
+
+
+def test_the_bytes_of_a_file_depend_on_its_set_alone(path):
+    later = other_set(make_set(), 8)  # of the same structure
+    assert build_image(later) != path.read_bytes()
+    assert build_image(replace(later, environment={})) != path.read_bytes()
+    assert build_image(make_set()) == path.read_bytes()
 
 
 def test_the_entry_has_an_identifier_of_its_content(file):

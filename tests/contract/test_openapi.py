@@ -20,7 +20,7 @@ from fastapi.routing import APIRoute
 
 from daq_service.assessment.methods import METHODS
 from daq_service.settings.tree import Settings
-from daq_service.web.answers.models import AlarmProof
+from daq_service.web.answers.models import AlarmEvidence
 from daq_service.web.app import RESOURCES, create_app
 from daq_service.web.multi_test.app import RESOURCES as OF_SEVERAL
 from daq_service.web.multi_test.app import create_app_of_many
@@ -215,16 +215,16 @@ def test_every_example_is_an_answer_of_its_operation():
 
 
 def test_every_part_of_the_evidence_is_described():
-    """Where a condition is built with a table of its own; `AlarmProof` has a field for each of its keys."""
+    """Where conditions are built; `AlarmEvidence` has a field for each key of their evidence."""
     keys = set()
     for path in (ROOT / "daq_service").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
-            named = isinstance(node, ast.keyword) and node.arg == "proof"
-            kept = isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "proof"
+            named = isinstance(node, ast.keyword) and node.arg == "evidence"
+            kept = isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "evidence"
             if (named or kept) and isinstance(node.value, ast.Dict):
                 keys |= {key.value for key in node.value.keys}
-    assert {"rule", "poor_sets_running"} <= keys
-    assert keys - AlarmProof.model_fields.keys() == set()
+    assert {"rule", "consecutive_poor_sets"} <= keys
+    assert keys - AlarmEvidence.model_fields.keys() == set()
 
 
 def test_fields_of_a_trend_are_an_array_of_known_names_and_its_columns_have_types(document):

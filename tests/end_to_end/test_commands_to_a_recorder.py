@@ -57,7 +57,7 @@ def test_a_running_test_is_paused_resumed_and_a_transducer_disabled(
             order(folder, "pause", "again")
         assert order(folder, "disable", position="D") == 0
         assert order(folder, "resume") == 0
-        until(lambda: states(folder)["retired"] >= 2, "two sets without D")
+        until(lambda: states(folder)["disabled"] >= 2, "two sets without D")
         assert order(folder, "enable", "new sensor", position="D") == 0
         done = states(folder)["done"]
         until(lambda: states(folder)["done"] > done, "another set of D")

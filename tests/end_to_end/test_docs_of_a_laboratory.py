@@ -18,7 +18,7 @@ from support.small_experiment import run
 from support.stored_files import set_files
 from test_docs import ROOT, blocks
 
-from daq_service.corrosion_drive.watch import SEVERITIES
+from daq_service.corrosion_drive.watch import PRIORITIES
 from daq_service.errors import BusyError
 
 HOW_TO = ROOT / "docs/how-to"
@@ -124,7 +124,7 @@ def test_the_names_and_shapes_of_matlab_are_those_of_the_files(folder: Path, exp
 
 def kinds_of_alarms() -> set[str]:
     """Return every kind of alarm of the code: of the supply by its table, others by `Condition`."""
-    found = set(SEVERITIES)
+    found = set(PRIORITIES)
     for path in (ROOT / "daq_service").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         if "Condition(" not in text:

@@ -57,7 +57,7 @@ def test_the_next_recorder_rebuilds_the_catalogue_and_continues_from_the_same_ho
     after = table_rows(started_folder)
     del before["counts"]  # they go on; below they are compared
     for name, rows in before.items():
-        columns = 4 if name == "verdicts" else None  # those of the baseline's sets waited for it
+        columns = 4 if name == "assessments" else None  # those of the baseline's sets waited for it
         assert [row[:columns] for row in after[name][: len(rows)]] == [row[:columns] for row in rows], name
     with open_catalogue(started_folder) as catalogue:
         states = [row.state for row in catalogue.rows(SetRow, position="B")]

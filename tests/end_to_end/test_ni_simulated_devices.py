@@ -110,9 +110,9 @@ def test_a_rehearsal_produces_no_good_sets_no_assessments_and_no_baseline(
         assert {(row.valid, *row.flags) for row in shots} == {(False, "dry_run")}
         assert {row.quality for row in catalogue.rows(FeatureRow)} == {"bad"}
         baselines = catalogue.rows(BaselineRow)
-        assert [(row.position, row.n_sets, row.limit_f, row.limit_paper) for row in baselines] == [
-            (position, 0, None, None) for position in "BCD"
-        ]
+        assert [
+            (row.position, row.n_sets, row.limit_f_predictive, row.limit_mean_3sd) for row in baselines
+        ] == [(position, 0, None, None) for position in "BCD"]
         assert {row.outlier for row in catalogue.rows(AssessmentRow)} <= {None}
         assert catalogue.rows(AlarmRow) == [], "what is made up is no damage either"
     shot = read_set(set_files(folder)[0]).shots[0]

@@ -72,7 +72,7 @@ def test_an_archive_played_back_in_two_parts_is_the_same_test_to_the_last_bit(re
     )
     assert "the recording has no attempt 0 at shot 0" in unscheduled.cause
     assert rows | {"sets": [row for row in rows["sets"] if row is not unscheduled]} == recorded
-    assert [row.outlier for row in recorded["verdicts"] if row.set_index == LAST] == [True, False]
+    assert [row.outlier for row in recorded["assessments"] if row.set_index == LAST] == [True, False]
     assert recorded["alarms"] == []
     found = read_set(set_files(tmp_path)[0])
     assert found.rig_kind == "playback"

@@ -148,7 +148,7 @@ def test_rows_made_from_an_orphaned_file_are_those_of_the_recorder(
 
     assert run(only("ABC", two_hours()), tmp_path / "whole", rig=disturbed_rig(disturb))
     whole = rows_of(tmp_path / "whole")
-    assert {row.kind for row in whole["alarms"]} == {"rig_unavailable"}
+    assert {row.kind for row in whole["alarms"]} == {"instruments_unavailable"}
     commit_set = RecorderCatalogue.commit_set
     with monkeypatch.context() as patch:
         patch.setattr(RecorderCatalogue, "commit_set", killing)
@@ -190,7 +190,7 @@ def test_a_long_loss_of_the_rig_disables_no_transducer(tmp_path: Path) -> None:
     settings = only("AB", small_settings(schedule={**FOUR_SHOTS, "end_h": 3.0}, quality=SILENT))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4 + ["done"]
-    assert set(alarms_of(tmp_path)) == {(None, "rig_unavailable")}
+    assert set(alarms_of(tmp_path)) == {(None, "instruments_unavailable")}
 
 
 TWO_SHOTS = {"end_h": 2.5, "shots_per_set": 2}
@@ -201,7 +201,7 @@ def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(tmp_path: Pat
     disturb, _ = lost_during(range(1, 3), "B", 2, ConnectionLostError)
     settings = only("AB", small_settings(schedule=TWO_SHOTS))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
-    alarm = alarms_of(tmp_path)[None, "rig_unavailable"]
+    alarm = alarms_of(tmp_path)[None, "instruments_unavailable"]
     assert (alarm.raised_set_index, alarm.state) == (1, "returned_unacknowledged")
     assert alarm.message == "set 1 got no answer: board 01A2B3C4 is gone at B1; the next set tries again"
 
@@ -209,7 +209,7 @@ def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(tmp_path: Pat
 def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(tmp_path: Path) -> None:
     disturb, _ = lost_during(range(1, 3), "B", 2, ConnectionLostError)
     assert run(small_settings(schedule=TWO_SHOTS), tmp_path, rig=disturbed_rig(disturb))
-    assert (None, "rig_unavailable") not in alarms_of(tmp_path)
+    assert (None, "instruments_unavailable") not in alarms_of(tmp_path)
 
 
 @pytest.mark.parametrize("late", [False, True])
@@ -219,7 +219,7 @@ def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path: Path, late: bool
     rig = ordering_rig(tmp_path, [(1.5, "pause", {"note": "why"})], disturb, late=late)
     assert run(only("AB", small_settings(schedule=FOUR_SHOTS)), tmp_path, rig=rig)
     assert [row.state for row in sets_of(tmp_path, "B")] == ["done"] + ["missed"] * 4
-    assert alarms_of(tmp_path)[None, "rig_unavailable"].state == "unacknowledged"
+    assert alarms_of(tmp_path)[None, "instruments_unavailable"].state == "unacknowledged"
 
 
 def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_path: Path) -> None:

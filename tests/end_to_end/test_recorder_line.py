@@ -134,12 +134,15 @@ def test_assessment_without_recorder_and_storage_gives_the_same_result(finished:
     names = {"id": None, "sequence": None}
     assert [replace(row, **names) for row in of_sets] == [replace(row, **names) for row in stored]
     assessments = {row.set_index: row for found in assessed for row in found.position_result.assessments}
-    stored_rows = [row for row in rows["verdicts"] if row.position == "B"]
+    stored_rows = [row for row in rows["assessments"] if row.position == "B"]
     assert len(stored_rows) == SETS
     for row in stored_rows:
         ours = assessments[row.set_index]
         assert (ours.distance_squared, ours.outlier) == (row.distance_squared, row.outlier)
-        assert (ours.limit_f, ours.outlier_paper) == (row.limit_f, row.outlier_paper)
+        assert (ours.limit_f_predictive, ours.outlier_mean_3sd) == (
+            row.limit_f_predictive,
+            row.outlier_mean_3sd,
+        )
 
 
 def test_features_may_come_from_the_averaged_record_as_in_the_paper(finished: Path, tmp_path: Path) -> None:

@@ -275,7 +275,7 @@ def test_slips_alone_take_the_limits_of_the_test_they_are_given(
     (finding,) = [slip["finding"] for slip in result["slips"] if slip["where"] == "figure 14"]
     with open_catalogue(small) as catalogue:
         for position in "BCD":
-            assert f"{position}: {catalogue.baseline(position).limit_paper:.1f} (" in finding
+            assert f"{position}: {catalogue.baseline(position).limit_mean_3sd:.1f} (" in finding
     without, _ = made(tmp_path / "without", chosen_items("slips"), executor)
     (finding,) = [slip["finding"] for slip in without["slips"] if slip["where"] == "figure 14"]
     assert finding == "not available: no test was run or read"

@@ -270,13 +270,13 @@ def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(te
     test.is_switched_off_unwatched()
     # The next recorder reports it, and energizes nothing.
     with test.recording(settings):
-        found = until(lambda: test.alarms() if "supply_unwatched" in test.alarms() else None, "the alarm")
-        assert found["supply_unwatched"].state == found["interlock_tripped"].state == "unacknowledged"
-        assert "no recorder was heard" in found["supply_unwatched"].message
+        found = until(lambda: test.alarms() if "supply_watchdog_trip" in test.alarms() else None, "the alarm")
+        assert found["supply_watchdog_trip"].state == found["interlock_tripped"].state == "unacknowledged"
+        assert "no recorder was heard" in found["supply_watchdog_trip"].message
         assert test.switchings() == [True, False]
         test.order("supply_on")
         until(lambda: test.instruments.supply.on, "a person's order")
-        until(lambda: test.alarms()["supply_unwatched"].state == "returned_unacknowledged", "its return")
+        until(lambda: test.alarms()["supply_watchdog_trip"].state == "returned_unacknowledged", "its return")
 
 
 @pytest.mark.parametrize(
@@ -316,9 +316,11 @@ def test_a_killed_supply_process_is_unknown_and_its_successor_energizes_nothing(
         first = test.drive()
         os.kill(first, signal.SIGKILL)
         found = until(lambda: test.alarms() or None, "the alarm")
-        assert list(found) == ["supply_lost"]
-        assert "output state unknown" in found["supply_lost"].message
-        until(lambda: test.alarms()["supply_lost"].state == "returned_unacknowledged", "another one")
+        assert list(found) == ["supply_not_responding"]
+        assert "output state unknown" in found["supply_not_responding"].message
+        until(
+            lambda: test.alarms()["supply_not_responding"].state == "returned_unacknowledged", "another one"
+        )
         assert test.drive() != first
         assert test.instruments.supply.on, "it reads what the output does"
         test.order("supply_off")

@@ -70,8 +70,8 @@ def whole(tmp_path_factory):
 
 def damage_alarms(folder):
     with open_catalogue(folder) as catalogue:
-        events = [row.payload for row in catalogue.rows(EventRow) if row.kind == "data_damaged"]
-        return [row for row in catalogue.rows(AlarmRow) if row.kind == "data_damaged"], events
+        events = [row.payload for row in catalogue.rows(EventRow) if row.kind == "data_corrupt"]
+        return [row for row in catalogue.rows(AlarmRow) if row.kind == "data_corrupt"], events
 
 
 def flip(place):
@@ -121,7 +121,7 @@ def test_corruption_in_an_open_set_is_reported_and_costs_only_its_shot(tmp_path,
 
     record(settings, folder)
     (alarm,), events = damage_alarms(folder)
-    assert (alarm.state, alarm.severity) == ("unacknowledged", "high")
+    assert (alarm.state, alarm.priority) == ("unacknowledged", "high")
     (copy,) = (folder / "quarantine").iterdir()
     assert copy.read_bytes() == bytes(content).rstrip(b"\0")
     assert [event["file"] for event in events] == [f"quarantine/{copy.name}"]
@@ -193,7 +193,7 @@ def test_corruption_in_a_set_with_rows_leaves_a_file_of_the_sound_records(tmp_pa
     assert (folder / file).exists()
     stored = FolderSetReader(folder).read_set(file)
     assert len(stored.records) == A_SET - (kind is Kind.SHOT)
-    lost = [line.told for line in verify_folder(folder).damage]
+    lost = [line.description for line in verify_folder(folder).damage]
     assert bool(lost) == (kind is Kind.SHOT), lost
 
 

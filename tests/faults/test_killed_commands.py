@@ -160,7 +160,9 @@ class Client(threading.Thread):
     def _order(self, step: int):
         """Send the next command of a round in which each is possible after those before it."""
         if 3 <= step < 8:
-            return alarm_orders(self._newest("alarms?position=C&kind=retired&active=true"))[step - 3]
+            return alarm_orders(self._newest("alarms?position=C&kind=transducer_disabled&active=true"))[
+                step - 3
+            ]
         return {
             0: note,
             1: lambda: command(

@@ -45,7 +45,7 @@ def test_sets_wait_for_the_tests_own_folder(tmp_path, impostor):
     assert ["not the folder of this test" in message for message in messages] == [impostor]
     expected, found = rows_of(undisturbed), rows_of(data)
     alarms = [row for row in found.pop("alarms") if row not in expected["alarms"]]
-    assert [(row.kind, row.state) for row in alarms] == [("storage_unavailable", "returned_unacknowledged")]
+    assert [(row.kind, row.state) for row in alarms] == [("write_failed", "returned_unacknowledged")]
     assert found == {name: rows for name, rows in expected.items() if name != "alarms"}
     files = {path.name: path.read_bytes() for path in (undisturbed / "sets").iterdir()}
     assert files.keys() == {path.name for path in (data / "sets").iterdir()}

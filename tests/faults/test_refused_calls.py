@@ -23,7 +23,7 @@ COUNTS = (1, 3, UNTIL_FREED)
 REPORTED_WITHIN_S = 5.1
 """Five seconds and a pause between two tries."""
 RECORDS = 10 * SETS
-OF_FEW_SETS = "not_judged"
+OF_FEW_SETS = "not_assessed"
 """Alarm of a baseline without limits, which is active for any refusal."""
 SHARES = 2
 """Of the whole matrix, followed side by side: half an hour on two idle cores."""
@@ -83,7 +83,7 @@ def wrong(outcome):
         "shots are lost or double": {outcome["shots"], outcome["keys"], outcome["acknowledged"]} == {RECORDS},
         "something is left over": not outcome["left"],
         "the alarm stays": all(
-            state == ("unacknowledged" if kind == "data_damaged" else "returned_unacknowledged")
+            state == ("unacknowledged" if kind == "data_corrupt" else "returned_unacknowledged")
             for kind, state in outcome["alarms"]
             if kind != OF_FEW_SETS
         ),
@@ -104,7 +104,7 @@ def test_some_refusals_cost_time_only(followed, tmp_path):
     for outcome in (by_journal, by_catalogue, locked, moved):
         assert outcome["told_after_s"] <= REPORTED_WITHIN_S
         kinds = [kind for kind, _ in outcome["alarms"] if kind != OF_FEW_SETS]
-        assert kinds == ["storage_unavailable"]
+        assert kinds == ["write_failed"]
 
 
 def is_reported(outcome):

@@ -31,7 +31,7 @@ STREAM = (
     "id: 42\\nevent: sets\\n"
     'data: {"id":42,"topic":"sets","kind":"set_done","position":"B","set_index":0,"payload":{}}\\n\\n'
 )
-TRIAL = {"receiver": "control_room", "ok": True, "status": 204, "told": "taken", "took_s": 0.12}
+TRIAL = {"receiver": "control_room", "ok": True, "status": 204, "result": "taken", "took_s": 0.12}
 BY_HAND: dict[str, tuple[str, Any]] = {
     "stream_events": ("text/event-stream", STREAM),
     "test_receiver": ("application/json", TRIAL),  # it would need a receiver

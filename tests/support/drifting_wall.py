@@ -11,7 +11,7 @@ from support.memory_line import Line, memory_settings
 from support.synthetic_records import Scene
 
 BASELINE_SETS, FIRST_SILENT = 15, 21
-RAISED = {("B", "transducer_change"): 23, ("C", "hole"): 22}
+RAISED = {("B", "transducer_change"): 23, ("C", "no_reflection"): 22}
 """Set with which each alarm is raised: what came within so few sets looks like a contact."""
 
 

@@ -71,8 +71,8 @@ def frozen_baseline(position: str, **columns: object) -> BaselineRow:
         feature_names=list(FEATURE_NAMES),
         mean=[0.0] * p,
         covariance=np.eye(p).tolist(),
-        limit_f=LIMIT_F,
-        limit_paper=LIMIT_PAPER,
+        limit_f_predictive=LIMIT_F,
+        limit_mean_3sd=LIMIT_PAPER,
         approval="automatic",
         provenance={"set_indices": list(range(N_BASELINE)), "suspects": [], "warnings": []},
         limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
@@ -230,6 +230,8 @@ class FilledFolder:
             "thickness_m": wall,
             "thickness_loss_m": 6.35e-3 - wall,
             "correlation_coefficient": 0.98,
+            "interval_low_m": wall - 1e-5,
+            "interval_high_m": wall + 2e-5,
         }
 
     def assessment(self, position: str, index: int, hour: float) -> AssessmentRow:
@@ -244,14 +246,14 @@ class FilledFolder:
             in_baseline=in_baseline,
             distance_squared=distance,
             limit_name="f_predictive",
-            limit_f=LIMIT_F,
-            limit_paper=LIMIT_PAPER,
+            limit_f_predictive=LIMIT_F,
+            limit_mean_3sd=LIMIT_PAPER,
             outlier=None if in_baseline else distance > LIMIT_F,
-            outlier_paper=None if in_baseline else distance > LIMIT_PAPER,
+            outlier_mean_3sd=None if in_baseline else distance > LIMIT_PAPER,
             reason=None,
             contributions={"tof_pp_s": distance},
-            chart=None if in_baseline else 0.6 * distance,
-            chart_alarm=None if in_baseline else 0.6 * distance > LIMIT_CHART,
+            mewma_statistic=None if in_baseline else 0.6 * distance,
+            mewma_alarm=None if in_baseline else 0.6 * distance > LIMIT_CHART,
             limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
         )
 
@@ -293,18 +295,18 @@ class FilledFolder:
         position: str | None,
         index: int,
         *,
-        severity: str = "high",
+        priority: str = "high",
         kind: str = "wall_change",
         message: str | None = None,
         state: str = "unacknowledged",
-        proof: dict[str, object] | None = None,
+        evidence: dict[str, object] | None = None,
     ) -> int:
         due = self.due[index]
         row = AlarmRow(
             position=position,
             kind=kind,
-            family="damage" if position else "device",
-            severity=severity,
+            alarm_class="damage" if position else "device",
+            priority=priority,
             state=state,
             raised_utc_ns=due.due_utc_ns,
             raised_h=due.due_h,
@@ -313,7 +315,7 @@ class FilledFolder:
             message=message
             or f"3 of the last 5 judged sets at {position} lie beyond the limit of {LIMIT_F} (rule: 3 of 5): "
             "wall or transducer has changed; inspect",
-            proof=proof
+            evidence=evidence
             or {
                 "formula": "D = (x - mean)^T K^-1 (x - mean), equation 16",
                 "rule": {"k": 3, "n": 5},
@@ -393,7 +395,9 @@ class FilledFolder:
 
     def retire(self, position: str, index: int) -> None:
         """Disable a transducer: add its alarm, and the row of a scheduled set that it missed."""
-        self.add_alarm(position, index, kind="retired", message=f"10 sets running with nothing at {position}")
+        self.add_alarm(
+            position, index, kind="transducer_disabled", message=f"10 sets running with nothing at {position}"
+        )
         due, method = self.due[index], self.settings.positions[position].method
         row = SetRow(
             set_index=index,
@@ -401,14 +405,14 @@ class FilledFolder:
             method=method,
             due_utc_ns=due.due_utc_ns,
             due_h=due.due_h,
-            state="retired",
+            state="disabled",
             cause="hole",
             n_planned=0,
         )
         event = EventRow(
             utc_ns=due.due_utc_ns,
             topic="sets",
-            kind="set_retired",
+            kind="set_disabled",
             position=position,
             set_index=index,
             payload={},
@@ -418,7 +422,7 @@ class FilledFolder:
     def reinstate(self, position: str) -> None:
         """Reset the alarm that disabled a transducer, as the recorder does."""
         alarms = self.catalogue.rows(AlarmRow, position=position, active=True)
-        (row,) = [alarm for alarm in alarms if alarm.kind == "retired"]
+        (row,) = [alarm for alarm in alarms if alarm.kind == "transducer_disabled"]
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
         self._change(reset(row, "ann", "put right", moment), moment)
 
@@ -507,7 +511,7 @@ class FilledFolder:
         kinds = (
             [("sets", "set_done"), ("thickness", "thickness_read")]
             if method == "pulse_echo"
-            else [("sets", "set_done"), ("features", "set_features"), ("verdicts", "set_judged")]
+            else [("sets", "set_done"), ("features", "set_features"), ("assessments", "set_assessed")]
         )
         return [
             EventRow(

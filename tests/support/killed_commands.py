@@ -51,8 +51,8 @@ EVENT_OF: Mapping[str, str] = {
     "return_to_service": "alarm_in_service",
     "annotate": "annotation_added",
     "withdraw_annotation": "annotation_withdrawn",
-    "pause": "hold",
-    "resume": "release",
+    "pause": "pause",
+    "resume": "resume",
     "disable": "alarm_raised",
     "enable": "alarm_reset",
     "strike": "confirmation_asked",
@@ -211,7 +211,7 @@ def wrong_with(folder: Path, answered: Collection[int]) -> list[str]:
         wrong.append("events and history differ")
     if history.commands != {row.id: row for row in orders}:
         wrong.append("orders and history differ")
-    return wrong + [f"{found.file}: {found.told}" for found in verify_folder(folder).damage]
+    return wrong + [f"{found.file}: {found.description}" for found in verify_folder(folder).damage]
 
 
 if __name__ == "__main__":

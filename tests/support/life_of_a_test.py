@@ -83,8 +83,8 @@ def lived(folder: Path) -> Line:
         rows = catalogue.rows(SetRow)
         kinds = {event.kind for event in catalogue.rows(EventRow)}
         states = {row.state for row in rows}
-    assert states == {"done", "partial", "missed", "retired"}
-    assert {"alarm_acknowledged", "alarm_reset", "hold", "release", "baseline_frozen"} <= kinds
+    assert states == {"done", "partial", "missed", "disabled"}
+    assert {"alarm_acknowledged", "alarm_reset", "pause", "resume", "baseline_frozen"} <= kinds
     assert {"baseline_retired", "baseline_collecting"} <= kinds
     assert {"annotation_added", "annotation_withdrawn", "alarm_out_of_service", "alarm_shelved"} <= kinds
     return line

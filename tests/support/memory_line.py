@@ -61,7 +61,7 @@ TABLES: Mapping[str, type[Row]] = {
     "shots": ShotRow,
     "features": FeatureRow,
     "thickness": ThicknessRow,
-    "verdicts": AssessmentRow,
+    "assessments": AssessmentRow,
     "baselines": BaselineRow,
     "alarms": AlarmRow,
     "events": EventRow,

@@ -41,8 +41,8 @@ class Alarms:
         condition = Condition(
             **{
                 "position": "B",
-                "family": "damage",
-                "severity": "high",
+                "alarm_class": "damage",
+                "priority": "high",
                 "message": f"{kind} is there",
                 **further,
             },

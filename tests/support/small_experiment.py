@@ -111,7 +111,7 @@ def rows_of(folder: Path) -> dict[str, Sequence[Any]]:
             "set_features": catalogue.rows(FeatureRow, scope="set", purpose="any"),
             "shot_features": catalogue.rows(FeatureRow, scope="shot", purpose="any"),
             "thickness": catalogue.rows(ThicknessRow),
-            "verdicts": catalogue.rows(AssessmentRow, purpose="any"),
+            "assessments": catalogue.rows(AssessmentRow, purpose="any"),
             "baselines": [replace(row, created_utc_ns=0) for row in catalogue.rows(BaselineRow)],
             "alarms": catalogue.rows(AlarmRow),
             "shots": catalogue.rows(ShotRow, purpose="any"),

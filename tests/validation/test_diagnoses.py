@@ -30,7 +30,7 @@ def benchmark(*arguments: str) -> list[dict[str, Any]]:
 def test_a_thinning_wall_is_diagnosed_before_f_alarms_and_as_nothing_else() -> None:
     (run,) = benchmark("--only", "corrosion", "--runs", "1")
     assert run["first_wall_depth"] <= run["first_f_depth"]
-    assert run["called"].keys() <= {"ok", "wall", "cannot tell"}
+    assert run["called"].keys() <= {"ok", "wall", "undetermined"}
 
 
 @pytest.mark.slow
@@ -59,6 +59,6 @@ def test_real_shots_separate_a_wall_change_from_worn_spheres(
         },
     )
     rows = [one.position_result.assessments[-1] for one in assessed_sets(settings, "D")]
-    called = Counter(row.cause for row in rows if not row.in_baseline)
+    called = Counter(row.diagnosis for row in rows if not row.in_baseline)
     assert called[named] > 0.3 * called.total()
     assert not never & called.keys()

@@ -90,12 +90,15 @@ class Tiles:
         for tile in range(first // ROWS_OF_A_TILE, last // ROWS_OF_A_TILE + 1):
             start = max(first, tile * ROWS_OF_A_TILE)
             end = min(last + 1, (tile + 1) * ROWS_OF_A_TILE)
-            content = self._read(level, tile, start, end)
-            for number in range(start, end):
-                slot = content[(number - start) * self._slot_bytes :][: self._slot_bytes]
-                row = self._row(slot)
-                if row is not None and row.first_set // FACTOR**level == number:
-                    yield number, row
+            yield from self._sound_rows(level, start, self._read(level, tile, start, end))
+
+    def _sound_rows(self, level: int, start: int, content: memoryview) -> Iterator[tuple[int, TileRow]]:
+        """Return the sound rows in the bytes of slots from ``start`` on."""
+        for offset in range(0, len(content), self._slot_bytes):
+            number = start + offset // self._slot_bytes
+            row = self._row(content[offset : offset + self._slot_bytes])
+            if row is not None and row.first_set // FACTOR**level == number:
+                yield number, row
 
     def row(self, level: int, number: int) -> TileRow | None:
         """Read one row; None if there is no sound one."""
@@ -125,9 +128,8 @@ class Tiles:
         """
         for level in range(LEVELS):
             number = row.first_set // FACTOR**level
-            self._write(level, number, row)
-            first = number - number % FACTOR
-            finer_rows = dict(self.rows(level, first, first + FACTOR - 1)) | {number: row}
+            neighbors = self._write(level, number, row)
+            finer_rows = dict(self._sound_rows(level, number - number % FACTOR, neighbors)) | {number: row}
             row = join_rows([finer_rows[index] for index in sorted(finer_rows)])
 
     # Files ----------------------------------------------------------------------------------------
@@ -176,8 +178,8 @@ class Tiles:
             planes=np.frombuffer(slot, "<f4", offset=_FACTS.size).reshape(2, -1),
         )
 
-    def _write(self, level: int, number: int, row: TileRow) -> None:
-        """Write the row of a slot, with a new tile if necessary."""
+    def _write(self, level: int, number: int, row: TileRow) -> memoryview:
+        """Write a row, with a new tile if necessary; return the slots to join with it, as they were."""
         facts = (0, 0, row.n_sets, row.first_set, row.last_set, row.first_h, row.last_h)
         slot = bytearray(_FACTS.pack(*facts) + row.planes.astype("<f4").tobytes())
         struct.pack_into("<I", slot, 0, zlib.crc32(memoryview(slot)[4:]))
@@ -190,8 +192,11 @@ class Tiles:
                 file.truncate(0)
                 file.seek(0)
                 file.write(_header(self))
+            file.seek(self._offset(number - number % FACTOR))
+            neighbors = file.read(FACTOR * self._slot_bytes)
             file.seek(self._offset(number))
             file.write(slot)
+        return memoryview(neighbors)
 
 
 def _tile_name(level: int, tile: int) -> str:

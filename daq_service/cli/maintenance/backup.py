@@ -27,11 +27,18 @@ from daq_service.archive.records import (
 )
 from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.earlier_names import current_row
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.verification import UnchangedCatalogue
 from daq_service.cli.maintenance.verify import NOWHERE, Finding, expected_sha256
 from daq_service.errors import StorageError, StorageUnavailableError
-from daq_service.processes.data_folder import BACKUP_FILE, DRIVE_LOCK, LOCK_FILE, OWN_NAMES
+from daq_service.processes.data_folder import (
+    BACKUP_FILE,
+    DRIVE_LOCK,
+    LOCK_FILE,
+    OWN_NAMES,
+    backup_identity,
+)
 from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.processes.heartbeat import FILE_NAME as HEARTBEAT_FILE
 from daq_service.processes.heartbeat import WEB_FILE
@@ -66,7 +73,7 @@ LEFT_OUT = {
 }
 """Copied separately, or signs of a running test, which a copy is not; tokens and notifications belong to each
 copy."""
-NAMED_BY = ("name", "configuration_hash", "epoch_utc_ns", "created_utc_ns")
+NAMED_BY = ("uuid", "name", "configuration_hash", "epoch_utc_ns", "created_utc_ns")
 """Columns of the experiment that identify a test."""
 
 
@@ -138,6 +145,7 @@ def _claim(destination: Path, experiment: dict[str, object] | None) -> None:
     """Mark a new destination for this test, and reject that of another test."""
     if experiment is None:
         raise StorageError("the test has not begun; there is nothing to copy")
+    experiment = current_row("experiment", experiment)
     identity = {name: experiment[name] for name in NAMED_BY}
     destination.mkdir(parents=True, exist_ok=True)
     marker = destination / BACKUP_FILE
@@ -149,7 +157,7 @@ def _claim(destination: Path, experiment: dict[str, object] | None) -> None:
             )
         content = json.dumps(identity, indent=1).encode()
         write_durably(marker, content, temporary=destination / f"{BACKUP_FILE}{TEMPORARY_SUFFIX}")
-    found = _object(marker)
+    found = backup_identity(destination) or {}
     if found != identity:
         raise StorageError(
             f"{destination} holds a backup of another test ({found.get('name')!r}, configuration "
@@ -171,15 +179,6 @@ def _read_history(folder: Path) -> bytes:
         return read_shared(folder / HISTORY_FILE)
     except FileNotFoundError:
         return b""
-
-
-def _object(path: Path) -> dict[str, object]:
-    """Read a JSON object; empty if invalid."""
-    try:
-        found = json.loads(read_shared(path))
-    except ValueError:
-        return {}
-    return found if isinstance(found, dict) else {}
 
 
 def _copy_journal(folder: Path, destination: Path, copied: Copied) -> Iterator[Path]:
@@ -211,7 +210,9 @@ def _copy_sets(
         checked = check_file(source, sha256=expected_sha256(catalogue.of_set("sets", index), file))
         if checked.touched or checked.damages:
             description = f"{checked.damages[0] if checked.damages else 'its SHA-256 differs'}; {BACK}"
-            copied.damage.append(Finding(kind="set_unreadable", file=file, shot_id=None, told=description))
+            copied.damage.append(
+                Finding(kind="set_unreadable", file=file, shot_id=None, description=description)
+            )
             target = destination / QUARANTINE_FOLDER / target.name
             target.parent.mkdir(exist_ok=True)
         if checked.n_bytes:  # else nothing of it can be read
@@ -230,7 +231,7 @@ def _lost(folder: Path, destination: Path, catalogue: UnchangedCatalogue, copied
     journal = read_journal(destination) if missing else {}
     journaled = {item.reference for item in journal.values()}
     return [
-        Finding(kind="set_missing", file=file, shot_id=None, told=f"{NOWHERE}; {BACK}")
+        Finding(kind="set_missing", file=file, shot_id=None, description=f"{NOWHERE}; {BACK}")
         for file in missing
         # A set may have left the journal for a file between the two looks.
         if file not in journaled and not (folder / file).exists()

@@ -155,7 +155,7 @@ def run_acceptance_report(*, data_dir: Path, **options: Any) -> int:
 
 
 def _damage_lines(damage: Sequence[Finding]) -> list[str]:
-    return [f"{finding.kind:<18} {finding.file}: {finding.told}" for finding in damage]
+    return [f"{finding.kind:<18} {finding.file}: {finding.description}" for finding in damage]
 
 
 def _listed(counts: dict[str, int]) -> str:

@@ -60,7 +60,7 @@ def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
     steps = [
         _of_file(folder, SetReference(file), journal, backup)
         if finding.kind in OF_A_FILE
-        else Step(does="nothing", file=file, why=finding.told)
+        else Step(does="nothing", file=file, why=finding.description)
         for file, finding in damaged.items()
     ]
     return [*_left_over(folder), *sorted(steps, key=lambda step: step.file)]

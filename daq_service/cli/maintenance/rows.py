@@ -28,7 +28,7 @@ class RowsOfSet:
     sets: Sequence[Found]
     shots: Sequence[Found]
     features: Sequence[Found]
-    verdicts: Sequence[Found]
+    assessments: Sequence[Found]
     thickness: Sequence[Found]
 
 
@@ -138,8 +138,8 @@ def _results(rows: RowsOfSet, position: str, method: str) -> Iterator[str]:
         return
     features = [row for row in rows.features if row["position"] == position]
     of_sets = [row for row in features if row["shot_index"] is None]
-    assessment_rows = [row for row in rows.verdicts if row["position"] == position]
+    assessment_rows = [row for row in rows.assessments if row["position"] == position]
     if len(of_sets) != len(assessment_rows):
-        yield f"{len(of_sets)} rows of features of the set, but {len(assessment_rows)} verdicts"
+        yield f"{len(of_sets)} rows of features of the set, but {len(assessment_rows)} assessments"
     if features and {row["sequence"] for row in features if row["shot_index"] is not None} != shots:
         yield "features and shots are not of the same records"

@@ -19,8 +19,9 @@ from daq_service.archive.records import (
     QUARANTINE_FOLDER,
     SETS_FOLDER,
     TEMPORARY_SUFFIX,
+    due_utc_ns,
     referenced_sets,
-    set_reference,
+    set_indices,
 )
 from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
@@ -56,7 +57,7 @@ KINDS = {
 }
 """Kinds of damage."""
 
-TABLES = ("sets", "shots", "features", "verdicts", "thickness")
+TABLES = ("sets", "shots", "features", "assessments", "thickness")
 """Whose rows belong to a position and a set."""
 MOST_BEHIND_S = 60.0
 """A history with a longer delay was truncated or not written: it normally follows within a second."""
@@ -84,14 +85,14 @@ class Finding:
         Relative to the data folder.
     shot_id
         `shots.sequence`; None where it is no shot's.
-    told
+    description
         What was found and what helps.
     """
 
     kind: str
     file: str
     shot_id: int | None
-    told: str
+    description: str
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -126,7 +127,10 @@ def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
     """Check pages, indices and foreign keys, and find shots without a set."""
     if state.catalogue is None:
         yield Finding(
-            kind="catalogue", file=FILE_NAME, shot_id=None, told=f"it is not there; {MADE_AGAIN} in its place"
+            kind="catalogue",
+            file=FILE_NAME,
+            shot_id=None,
+            description=f"it is not there; {MADE_AGAIN} in its place",
         )
         return
     for damage in state.catalogue.troubles():
@@ -134,12 +138,12 @@ def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
             state.unreadable.add(damage.description)
         else:
             shot_id = damage.row_id if damage.table == "shots" else None
-            yield Finding(kind="row", file=FILE_NAME, shot_id=shot_id, told=f"{damage}; {MADE_AGAIN}")
+            yield Finding(kind="row", file=FILE_NAME, shot_id=shot_id, description=f"{damage}; {MADE_AGAIN}")
     try:
         state.checked["rows"] = state.catalogue.n_rows()
         for sequence in state.catalogue.strays():
             description = f"shots, sequence {sequence}: its set has no row; {MADE_AGAIN}"
-            yield Finding(kind="row", file=FILE_NAME, shot_id=sequence, told=description)
+            yield Finding(kind="row", file=FILE_NAME, shot_id=sequence, description=description)
     except CatalogueDamagedError as error:
         state.unreadable.add(str(error))
 
@@ -149,7 +153,7 @@ def check_experiment(state: FolderCheck) -> Iterator[Finding]:
     try:
         stored = read_experiment(state.folder)
     except CatalogueError as error:
-        yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, told=str(error))
+        yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, description=str(error))
     else:
         if stored is not None and state.experiment is not None:
             catalogue_values = {
@@ -159,24 +163,26 @@ def check_experiment(state: FolderCheck) -> Iterator[Finding]:
             if catalogue_values != file_values:
                 values = f"it tells of {file_values}, the catalogue of {catalogue_values}"
                 description = f"{values}: one is foreign or damaged; {BACK}"
-                yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, told=description)
+                yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, description=description)
     running = is_owned(state.folder) is not False
     try:
         history = read_history(state.folder)
     except OSError as error:
-        yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=f"it cannot be read: {error}")
+        yield Finding(
+            kind="history", file=HISTORY_FILE, shot_id=None, description=f"it cannot be read: {error}"
+        )
         return
     state.checked["lines_of_history"] = history.last_number
     last_id = max(history.events, default=0)
     if last_id and state.catalogue is not None and not state.catalogue.has_event(history.events[last_id]):
         # A recorder, too, appends to the history what the catalogue has.
-        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, told=lost_rows(last_id))
+        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, description=lost_rows(last_id))
     # A folder from before there was either gets them with its next start.
     older = history.last_number == 0 and not (state.folder / EXPERIMENT_FILE).exists()
     cut_off = [] if older else _lines_cut_off(state, last_id, running=running)
     for line in [*history.damage, *cut_off]:
         description = f"{line}; the catalogue has it still: back it up, and keep both"
-        yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, told=description)
+        yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, description=description)
 
 
 def _lines_cut_off(state: FolderCheck, last_id: int, *, running: bool) -> Iterator[str]:
@@ -208,7 +214,7 @@ def check_logs(state: FolderCheck) -> Iterator[Finding]:
         except OSError as error:
             damage = [f"{file} cannot be read: {error}"]
         for line in damage:
-            yield Finding(kind=kind, file=file, shot_id=None, told=f"{line}; {remedy}")
+            yield Finding(kind=kind, file=file, shot_id=None, description=f"{line}; {remedy}")
 
 
 def check_frames(state: FolderCheck) -> Iterator[Finding]:
@@ -223,7 +229,7 @@ def check_frames(state: FolderCheck) -> Iterator[Finding]:
     for file, damage in state.journal.damages:
         if (file, str(damage)) in before:
             remedy = "the others of its set are safe; the damaged one is lost but for a backup's"
-            yield Finding(kind="frame", file=file, shot_id=damage.sequence, told=f"{damage}; {remedy}")
+            yield Finding(kind="frame", file=file, shot_id=damage.sequence, description=f"{damage}; {remedy}")
 
 
 def check_sets(state: FolderCheck) -> Iterator[Finding]:
@@ -256,10 +262,10 @@ def _check_file(state: FolderCheck, index: int, reference: SetReference) -> Iter
     state.checked["bytes"] += found.n_bytes
     if found.touched:
         description = f"its SHA-256 is not that of the file that was written; {BACK}"
-        yield Finding(kind="set_touched", file=reference, shot_id=None, told=description)
+        yield Finding(kind="set_touched", file=reference, shot_id=None, description=description)
     for damage in found.damages:
         kind = "set_unreadable" if found.record is None else "metadata" if damage.sequence is None else "shot"
-        yield Finding(kind=kind, file=reference, shot_id=damage.sequence, told=f"{damage}; {BACK}")
+        yield Finding(kind=kind, file=reference, shot_id=damage.sequence, description=f"{damage}; {BACK}")
     if found.record is not None:
         state.checked["shots"] += len(found.record.records)
         lost = frozenset(damage.sequence for damage in found.damages if damage.sequence is not None)
@@ -291,11 +297,12 @@ def _compare(
     lost: frozenset[int],
 ) -> Iterator[Finding]:
     """Compare a set with its rows."""
-    if reference != set_reference(record.set_index, record.due_utc_ns):
+    named, due_s = set_indices([reference.rpartition("/")[2]]), record.due_utc_ns // NS_PER_S
+    if (named, due_utc_ns(reference)) != ({record.set_index}, due_s * NS_PER_S):
         description = (
             f"it holds set {record.set_index} of {format_utc(record.due_utc_ns)}: somebody gave it this name"
         )
-        yield Finding(kind="metadata", file=reference, shot_id=None, told=f"{description}; {BACK}")
+        yield Finding(kind="metadata", file=reference, shot_id=None, description=f"{description}; {BACK}")
         return
     if rows is None or state.experiment is None:
         return
@@ -305,7 +312,10 @@ def _compare(
         hashes = f"its configuration is {file_hash}, the catalogue's {catalogue_hash}"
         description = f"{hashes}: one of the two is foreign or damaged"
         yield Finding(
-            kind="metadata", file=reference, shot_id=None, told=f"{description}; move it out, or {BACK}"
+            kind="metadata",
+            file=reference,
+            shot_id=None,
+            description=f"{description}; move it out, or {BACK}",
         )
         return
     hour_0 = record.due_utc_ns - round(record.due_h * NS_PER_H)
@@ -313,15 +323,17 @@ def _compare(
         description = (
             f"experiment: hour 0 is {state.experiment['epoch_utc_ns']}, by {reference} it is {hour_0} ns"
         )
-        yield Finding(kind="row", file=FILE_NAME, shot_id=None, told=f"{description}; {MADE_AGAIN}")
+        yield Finding(kind="row", file=FILE_NAME, shot_id=None, description=f"{description}; {MADE_AGAIN}")
     if rows.sets:
         for shot_id, description in differing(rows, record, reference, lost):
-            yield Finding(kind="row", file=FILE_NAME, shot_id=shot_id, told=f"{description}; {MADE_AGAIN}")
+            yield Finding(
+                kind="row", file=FILE_NAME, shot_id=shot_id, description=f"{description}; {MADE_AGAIN}"
+            )
     elif in_order(index)[0] < max((i for i in state.sets_with_rows if i < PLANNED_SETS), default=0):
         description = (
             f"it has no rows, though later sets have: the recorder's next start makes them, or {MADE_AGAIN}"
         )
-        yield Finding(kind="file_without_rows", file=reference, shot_id=None, told=description)
+        yield Finding(kind="file_without_rows", file=reference, shot_id=None, description=description)
     else:
         state.checked["sets_without_rows"] += 1
 
@@ -336,10 +348,10 @@ def check_references(state: FolderCheck) -> Iterator[Finding]:
         for file in sorted(files):
             if not (state.folder / file).exists() and (journaled is None or journaled.reference != file):
                 description = f"{NOWHERE}; {BACK}"
-                yield Finding(kind="set_missing", file=file, shot_id=None, told=description)
+                yield Finding(kind="set_missing", file=file, shot_id=None, description=description)
     for description in sorted(state.unreadable):
         remedy = f"bring it back from a backup, or {MADE_AGAIN}"
-        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, told=f"{description}; {remedy}")
+        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, description=f"{description}; {remedy}")
 
 
 CHECKS: tuple[Callable[[FolderCheck], Iterator[Finding]], ...] = (

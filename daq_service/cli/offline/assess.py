@@ -153,8 +153,8 @@ def sensor(
         "first": dict(assessed.first),
         "alarm": {
             "rows": list(assessed.onsets),
-            "rate_guaranteed": not assessed.why_not_guaranteed,
-            "why": assessed.why_not_guaranteed,
+            "rate_guaranteed": not assessed.rate_not_verified_reason,
+            "why": assessed.rate_not_verified_reason,
             "limit": assessed.chart_limit,
         },
     }

@@ -108,7 +108,7 @@ def assess_individually(
     return IndividualResult(
         refused=None,
         alarms=bool(found.onsets),
-        why_not=found.why_not_guaranteed,
+        why_not=found.rate_not_verified_reason,
         chances=running_chance(found.unbroken, max(MINIMUM_SETS, int(found.n / usual.tails)), p, period),
     )
 

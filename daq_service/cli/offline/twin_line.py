@@ -85,5 +85,5 @@ def assessed_sets(
         position_result = assessor.assess(due, shots, features_of_all(shots), n_tried=len(keys))
         found = AssessedSet(due=due, hour_h=hour_h, shots=shots, position_result=position_result)
         yield found
-        if found.raised & {"hole", "retired"}:
+        if found.raised & {"no_reflection", "transducer_disabled"}:
             return

@@ -39,8 +39,12 @@ def draw_fig14(material: item.Material) -> item.Product:
     style.name_panels(axes, [f"position {name}" for name in names])
 
     def columns(pulses: SolitaryWaves) -> dict[str, FloatArray]:
-        assessed = {key: pulses.values[key] for key in ("distance_squared", "limit_f", "limit_paper")}
-        return assessed | {key: getattr(pulses, key) for key in ("in_baseline", "outlier", "outlier_paper")}
+        assessed = {
+            key: pulses.values[key] for key in ("distance_squared", "limit_f_predictive", "limit_mean_3sd")
+        }
+        return assessed | {
+            key: getattr(pulses, key) for key in ("in_baseline", "outlier", "outlier_mean_3sd")
+        }
 
     return item.Product(
         drawing=figure,
@@ -64,8 +68,8 @@ def _distances(axis: Axes, pulses: SolitaryWaves, baseline_h: float | None, colo
         axis.axvspan(SPLIT_H, last_h, color=style.VERMILLION, alpha=0.08, lw=0, label="counted: after 100 h")
     axis.plot(pulses.hour_h, distance, ".", color=colour, ms=2.5, label="our sets")
     for column, dash, label in (
-        ("limit_paper", "--", "our mean + 3 SD"),
-        ("limit_f", "-", "exact limit (F)"),
+        ("limit_mean_3sd", "--", "our mean + 3 SD"),
+        ("limit_f_predictive", "-", "exact limit (F)"),
     ):
         limit = _limit(pulses, column)
         if limit is not None:
@@ -92,7 +96,7 @@ def _share(pulses: SolitaryWaves, outlier: FloatArray, from_h: float) -> tuple[f
 def _share_text(pulses: SolitaryWaves) -> str:
     """Describe the percentages of outliers."""
     parts = []
-    for limit, outlier in (("mean + 3 SD", pulses.outlier_paper), ("the exact limit", pulses.outlier)):
+    for limit, outlier in (("mean + 3 SD", pulses.outlier_mean_3sd), ("the exact limit", pulses.outlier)):
         share, n = _share(pulses, outlier, SPLIT_H)
         parts.append(
             f"no set judged after {SPLIT_H:g} h" if share is None else f"{share:.1f} % of {n} by {limit}"
@@ -119,10 +123,10 @@ def _one_outlier_value(test: Evidence, pulses: SolitaryWaves | None, name: str, 
     if pulses.baseline is None:
         return item.missing(f"no baseline was frozen at {name} up to hour {test.last_h:g}")
     if key.startswith("limit"):
-        limit = _limit(pulses, "limit_paper")
+        limit = _limit(pulses, "limit_mean_3sd")
         return item.found(limit, f"{pulses.baseline.n_sets} sets", reason=str(pulses.baseline.limit_reason))
     from_h = LATE_H if key == "outliers_late" else SPLIT_H
-    share, n = _share(pulses, pulses.outlier if key == "outliers_f" else pulses.outlier_paper, from_h)
+    share, n = _share(pulses, pulses.outlier if key == "outliers_f" else pulses.outlier_mean_3sd, from_h)
     return item.found(
         share, f"of {n} sets", reason=f"no set was judged after hour {from_h:g} (last: {test.last_h:g})"
     )

@@ -28,7 +28,7 @@ PULSES = (
     "isw_amplitude_v", "psw_amplitude_v", "isw_time_s", "psw_time_s", "ssw_time_s", "isw_fwhm_s",
 )  # fmt: skip
 """Columns of the catalogue that are drawn or compared."""
-ASSESSED = ("distance_squared", "limit_f", "limit_paper")
+ASSESSED = ("distance_squared", "limit_f_predictive", "limit_mean_3sd")
 
 TRACES = 25
 """Sets whose waveforms are drawn: enough for a trend, few enough to see single pulses."""
@@ -65,7 +65,7 @@ class SolitaryWaves(Series):
     values
         By column of the catalogue, each float64 of shape (n,), NaN where not available: `PULSES` and
         `ASSESSED`.
-    in_baseline, outlier, outlier_paper
+    in_baseline, outlier, outlier_mean_3sd
         float64, shape (n,): 1 yes, 0 no, NaN where a set was not assessed.
     baseline
         Row of the catalogue, None before it is frozen.
@@ -74,7 +74,7 @@ class SolitaryWaves(Series):
     values: Mapping[str, FloatArray]
     in_baseline: FloatArray
     outlier: FloatArray
-    outlier_paper: FloatArray
+    outlier_mean_3sd: FloatArray
     baseline: BaselineRow | None
 
 
@@ -228,7 +228,9 @@ def _common(
     catalogue: Catalogue, position: str, place: Mapping[str, Any], columns: Mapping[str, Sequence[Any]]
 ) -> dict[str, Any]:
     """Return the fields of a `Series`."""
-    alarms_h = [row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.family == "damage"]
+    alarms_h = [
+        row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.alarm_class == "damage"
+    ]
     return {
         "position": position,
         "label": place.get("label", ""),
@@ -248,7 +250,9 @@ def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any
     """Read the sets of a solitary-wave transducer."""
     columns = catalogue.columns(FeatureRow, ["set_index", "due_h", *PULSES], position=position, scope="set")
     assessments = catalogue.columns(
-        AssessmentRow, ["set_index", "in_baseline", "outlier", "outlier_paper", *ASSESSED], position=position
+        AssessmentRow,
+        ["set_index", "in_baseline", "outlier", "outlier_mean_3sd", *ASSESSED],
+        position=position,
     )
     row_of = {index: row for row, index in enumerate(assessments["set_index"])}
     rows = [row_of.get(index) for index in columns["set_index"]]
@@ -262,7 +266,7 @@ def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any
         | {name: assessed_values(name) for name in ASSESSED},
         in_baseline=assessed_values("in_baseline"),
         outlier=assessed_values("outlier"),
-        outlier_paper=assessed_values("outlier_paper"),
+        outlier_mean_3sd=assessed_values("outlier_mean_3sd"),
         baseline=catalogue.baseline(position),
     )
 

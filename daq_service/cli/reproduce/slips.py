@@ -156,17 +156,17 @@ def _thresholds(material: Material) -> str:
     sentences = []
     for name, pulses in material.test.pulses.items():
         baseline = pulses.baseline
-        if baseline is None or baseline.limit_paper is None:
+        if baseline is None or baseline.limit_mean_3sd is None:
             continue
         n, p = int(baseline.n_sets), len(baseline.feature_names)
         try:
-            rate = false_alarm_rate(float(baseline.limit_paper), n, p)
+            rate = false_alarm_rate(float(baseline.limit_mean_3sd), n, p)
         except AnalysisError as error:
             sentences.append(f"{name}: {error}")
             continue
         sentences.append(
-            f"{name}: {baseline.limit_paper:.1f} ({100 * rate:.1f} % false alarms), exact "
-            f"{baseline.limit_f:.1f}"
+            f"{name}: {baseline.limit_mean_3sd:.1f} ({100 * rate:.1f} % false alarms), exact "
+            f"{baseline.limit_f_predictive:.1f}"
         )
     if not sentences:
         raise NotAvailableError("no baseline was frozen in this test")

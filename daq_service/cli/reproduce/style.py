@@ -16,7 +16,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from daq_service.web.report.figures import RULES as REPORT_RULES
+
 # Okabe and Ito (2008), Color Universal Design; yellow is left out, it vanishes on paper.
+
 BLUE, VERMILLION, GREEN, ORANGE = "#0072B2", "#D55E00", "#009E73", "#E69F00"
 PURPLE, SKY, BLACK, GREY = "#CC79A7", "#56B4E9", "#000000", "#767676"
 COLOURS = (BLUE, VERMILLION, GREEN, ORANGE, PURPLE, SKY)
@@ -26,24 +29,13 @@ WIDTH_IN = 7.2
 DPI = 150
 
 RULES: Any = {
+    **REPORT_RULES,
     "font.family": "DejaVu Sans",
-    "font.size": 8.5,
-    "axes.titlesize": 9,
-    "axes.titlelocation": "left",
     "axes.labelsize": 8.5,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.5,
-    "axes.axisbelow": True,
-    "legend.fontsize": 7.5,
     "legend.frameon": True,
     "legend.framealpha": 0.85,
     "legend.edgecolor": "none",
     "lines.linewidth": 1.3,
-    "lines.markersize": 3,
-    "svg.hashsalt": "solimon",
     "svg.fonttype": "path",
     "path.simplify": True,
 }

@@ -170,9 +170,6 @@ class KindsBench:
         self.strikes += 1
         return trial
 
-    def close(self) -> None:
-        """Do nothing: nothing is open between strikes."""
-
 
 def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path, folder: Path) -> KindsBench:
     """Create a bench of the named kinds with given parameters.

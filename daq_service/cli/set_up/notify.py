@@ -45,7 +45,7 @@ def run_test(*, config: Path | None, receiver: str | None, as_json: bool) -> int
             click.echo(f"{name:<24} {'ok' if results[name].ok else 'FAILED':<7} {results[name].description}")
     if as_json:
         outcomes = {
-            name: {"ok": result.ok, "told": result.description, "status": result.status}
+            name: {"ok": result.ok, "result": result.description, "status": result.status}
             for name, result in results.items()
         }
         click.echo(json.dumps({"receivers": outcomes}))

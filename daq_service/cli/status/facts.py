@@ -10,11 +10,8 @@ from typing import Any
 
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.evidence import baseline_doubts
-from daq_service.archive import FolderSetReader
-from daq_service.archive.errors import ArchiveError
 from daq_service.assessment.confirmation import count_recent, read_confirmations, summarize_confirmation
 from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
-from daq_service.assessment.restore_state import thickness_interval_m
 from daq_service.assessment.stored_limits import deciding_chart
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
@@ -142,7 +139,7 @@ def _lost_rows(folder: Path, catalogue: Catalogue) -> dict[str, str]:
 
 def _newest_rows(latest: LatestRows) -> dict[str, object]:
     """Return the newest rows of a position."""
-    names = ("last_set", "last_feature", "last_verdict", "last_thickness")
+    names = ("last_set", "last_feature", "last_assessment", "last_thickness")
     rows_by_name = {name: None if (row := getattr(latest, name)) is None else values(row) for name in names}
     return {
         "position": latest.position,
@@ -156,22 +153,15 @@ def _present_state(
     folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LatestRows
 ) -> dict[str, Any]:
     """Return what changes with time: state, age, limits, the interval of a thickness."""
-    data_h, interval_m = data_hour(last), None
-    if last.last_thickness is not None:
-        try:
-            reader = FolderSetReader(folder)
-            interval_m = thickness_interval_m(last.last_thickness, settings, catalogue, reader)
-        except ArchiveError as error:  # `lost` and `verify` report it; the catalogue has the value
-            log.debug("no interval of position %s: %s", last.position, error)
+    data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
-    chart = deciding_chart(last.last_verdict, settings)
+    chart = deciding_chart(last.last_assessment, settings)
     return {
         "state": status_of(last),
         "age_h": age_h,
         "stale": is_stale(settings.schedule, fresh, age_h),
         "limit": limit_of(last, settings),
         "chart": None if chart is None else dict(zip(("statistic", "limit"), chart, strict=True)),
-        "thickness_interval_m": interval_m,
     }
 
 
@@ -179,14 +169,14 @@ def _rate_of(row: BaselineRow | None) -> dict[str, object] | None:
     """Return the design false-alarm rate of a baseline and whether it is verified; None without baseline."""
     if row is None:
         return None
-    names = ("false_alarms_per_sensor_year", "rate_guaranteed", "why_not_guaranteed")
+    names = ("false_alarms_per_sensor_year", "rate_verified", "rate_not_verified_reason")
     return {
         "name": row.name,
         "n_sets": row.n_sets,
         "state": row.state,
         "limit_reason": row.limit_reason,
-        **{name: (row.readiness or {}).get(name) for name in names},
-        "doubts": baseline_doubts(row.readiness),
+        **{name: (row.baseline_quality or {}).get(name) for name in names},
+        "doubts": baseline_doubts(row.baseline_quality),
     }
 
 

@@ -22,18 +22,18 @@ from daq_service.settings.foreign_text import all_in_one_line, in_one_line
 
 STYLES = {
     "alarm": "bold red",
-    "retired": "bold red",
+    "disabled": "bold red",
     "outlier": "yellow",
     "shelved": "yellow",
     "out_of_service": "yellow",
-    "learning": "cyan",
-    "not_judged": "yellow",
+    "collecting_baseline": "cyan",
+    "not_assessed": "yellow",
     "normal": "green",
     "running": "green",
     "finished": "green",
     "stopped": "yellow",
-    "silent": "bold red",
-    "absent": "yellow",
+    "not_responding": "bold red",
+    "not_started": "yellow",
     "unacknowledged": "bold red",
     "returned_unacknowledged": "yellow",
     "acknowledged": "yellow",
@@ -123,9 +123,9 @@ def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
         baseline = row["baseline"]
         if baseline is not None and baseline["state"] == "proposed" and baseline["limit_reason"]:
             alike.setdefault(f"NOT JUDGED: {baseline['limit_reason']}", []).append(name)
-        if baseline is None or baseline["rate_guaranteed"] is None:
+        if baseline is None or baseline["rate_verified"] is None:
             continue
-        why = baseline["why_not_guaranteed"]
+        why = baseline["rate_not_verified_reason"]
         promised = f"not promised: {why}" if why else "promised"
         if baseline["doubts"]:
             alike.setdefault(f"DOUBTFUL: {'; '.join(baseline['doubts'])}", []).append(name)
@@ -137,12 +137,12 @@ def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
 def _assessments(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
     """Yield the diagnosis of each position's newest set that differs from the baseline."""
     for name, row in positions.items():
-        assessment = row["last_verdict"]
-        if not _of_the_same_set(row["last_feature"], assessment) or assessment["cause"] in (None, OK):
+        assessment = row["last_assessment"]
+        if not _of_the_same_set(row["last_feature"], assessment) or assessment["diagnosis"] in (None, OK):
             continue
-        style = "bold red" if assessment["cause"] == WALL else "yellow"
+        style = "bold red" if assessment["diagnosis"] == WALL else "yellow"
         sentence = diagnosis_text(
-            assessment["cause"], assessment["cause_probability"], assessment["cause_told"]
+            assessment["diagnosis"], assessment["diagnosis_probability"], assessment["diagnosis_details"]
         )
         yield f"{name}, set {assessment['set_index']}: {sentence}", style
 
@@ -208,16 +208,16 @@ def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
 
 def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
     """Return result, limit and quality of a position's newest data, by its method."""
-    echo, feature, assessment = row["last_thickness"], row["last_feature"], row["last_verdict"]
+    echo, feature, assessment = row["last_thickness"], row["last_feature"], row["last_assessment"]
     if echo is not None:
-        wall_m, ends_m = echo["thickness_m"], row["thickness_interval_m"]
-        between = "" if ends_m is None else f" ({1e3 * ends_m[0]:.2f} to {1e3 * ends_m[1]:.2f})"
+        wall_m, low_m, high_m = (echo[name] for name in ("thickness_m", "interval_low_m", "interval_high_m"))
+        between = "" if low_m is None else f" ({1e3 * low_m:.2f} to {1e3 * high_m:.2f})"
         result = "no echo" if wall_m is None else f"{1e3 * wall_m:.2f} mm{between}"
         return result, f"{1e3 * row['limit']:.2f} mm", echo["quality"]
     if feature is None:
         return "-", "-", "-"
     distance = assessment["distance_squared"] if _of_the_same_set(feature, assessment) else None
-    none = "none yet" if row["state"] == "learning" else "none"
+    none = "none yet" if row["state"] == "collecting_baseline" else "none"
     limit = none if row["limit"] is None else f"{row['limit']:.1f}"
     texts = []
     if distance is not None:
@@ -237,7 +237,7 @@ def _of_the_same_set(feature: Mapping[str, Any] | None, assessment: Mapping[str,
 def _chart(row: Mapping[str, Any]) -> str:
     """Return the statistic and the limit of the control chart."""
     chart = row["chart"]
-    if chart is None or not _of_the_same_set(row["last_feature"], row["last_verdict"]):
+    if chart is None or not _of_the_same_set(row["last_feature"], row["last_assessment"]):
         return "-"
     return f"{chart['statistic']:.1f} of {chart['limit']:.1f}"
 
@@ -246,7 +246,7 @@ def _what_now(alarms: Sequence[Mapping[str, Any]]) -> Iterator[Text]:
     """Yield the first checks for each kind of active alarm."""
     for kind in dict.fromkeys(row["kind"] for row in alarms if row["suppressed"] is None):
         if kind in GUIDANCE:
-            yield Text(f"{kind}: look first: {in_order(GUIDANCE[kind].look_first)}")
+            yield Text(f"{kind}: look first: {in_order(GUIDANCE[kind].checks)}")
 
 
 def _state_of_alarm(row: Mapping[str, Any]) -> str:
@@ -256,16 +256,16 @@ def _state_of_alarm(row: Mapping[str, Any]) -> str:
         return state
     until = format_utc(row["shelved_until_utc_ns"], 0) if row["suppressed"] == "shelved" else ""
     text = f"shelved until {until}" if until else "out of service"
-    return f"{state}, {text} by {row['suppressed_by']}: {row['suppressed_because']}"
+    return f"{state}, {text} by {row['suppressed_by']}: {row['suppressed_reason']}"
 
 
 def _alarms(alarms: Sequence[Mapping[str, Any]]) -> Table:
     """Return the table of alarms."""
-    table = _table("alarm", "severity", "where", "state", "age", "what")
+    table = _table("alarm", "priority", "where", "state", "age", "what")
     for row in alarms:
         table.add_row(
             f"{row['id']}",
-            row["severity"],
+            row["priority"],
             row["position"] or "-",
             Text(_state_of_alarm(row), style=STYLES.get(row["suppressed"] or row["state"], "")),
             duration(3600.0 * row["age_h"]),

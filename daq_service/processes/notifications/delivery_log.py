@@ -63,7 +63,7 @@ class Delivery:
 
     Attributes
     ----------
-    told
+    result
         Result, for a person.
     place
         Progress; None on lines that do not change it: test messages, heartbeats.
@@ -71,7 +71,7 @@ class Delivery:
 
     receiver: str
     what: DeliveryKind
-    told: str
+    result: str
     event_ids: list[int] = field(default_factory=list)
     key: str = ""
     attempts: int = 0
@@ -119,7 +119,7 @@ class DeliveryLog:
 
         def is_sent(row: Mapping[str, Any]) -> bool:
             is_heartbeat = (row.get("receiver"), row.get("what")) == (receiver, "heartbeat")
-            return is_heartbeat and not str(row.get("told")).startswith("withheld")
+            return is_heartbeat and not str(row.get("result", row.get("result"))).startswith("withheld")
 
         lines, _ = newest_lines(self.path, limit=1, wanted=is_sent)
         return int(lines[0][1]["utc_ns"]) if lines else None
@@ -147,4 +147,6 @@ class DeliveryLog:
 def _delivery_of(row: object) -> Delivery:
     assert isinstance(row, dict)
     progress = row["place"]
+    if "result" in row:  # line of an earlier version
+        row["result"] = row.pop("result")
     return Delivery(**{**row, "place": None if progress is None else Progress(**progress)})

@@ -11,9 +11,9 @@ from urllib.parse import urlencode
 
 import orjson
 
-from daq_service.alarms.evidence import evidence
+from daq_service.alarms.evidence import describe_evidence
 from daq_service.alarms.guidance import GUIDANCE
-from daq_service.alarms.states import SEVERITIES
+from daq_service.alarms.states import PRIORITIES
 from daq_service.catalogue.rows import EventRow, ExperimentRow
 from daq_service.clock import format_utc
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
@@ -24,8 +24,8 @@ FORMAT_VERSION = 1
 ChangeKind = Literal["raised", "worse", "back", "over"]
 CHANGES: Mapping[str, ChangeKind] = {
     "alarm_raised": "raised",
-    "alarm_worsened": "worse",
-    "alarm_returned": "back",
+    "alarm_priority_raised": "worse",
+    "alarm_reactivated": "back",
     "alarm_shelf_expired": "back",
     "alarm_cleared": "over",
     "alarm_reset": "over",
@@ -54,7 +54,7 @@ class AlarmChange:
     alarm_id: int
     position: str | None
     kind: str
-    severity: str
+    priority: str
     message: str
     changed_utc_ns: int
     raised_h: float
@@ -66,7 +66,7 @@ def alarm_change_of(event: EventRow) -> AlarmChange | None:
     """Return the change of an alarm; None for changes made by a person and for suppressed alarms."""
     change, payload = CHANGES.get(event.kind), event.payload
     # An event of a very old folder does not carry its alarm's row.
-    if change is None or event.id is None or not payload.keys() >= {"severity", "state", "raised_h"}:
+    if change is None or event.id is None or not payload.keys() >= {"priority", "state", "raised_h"}:
         return None
     if change != "over" and (payload["state"] != "unacknowledged" or payload.get("suppressed")):
         return None
@@ -77,12 +77,12 @@ def alarm_change_of(event: EventRow) -> AlarmChange | None:
         alarm_id=payload.get("alarm_id") or payload.get("id") or 0,
         position=event.position,
         kind=payload["kind"],
-        severity=payload["severity"],
+        priority=payload["priority"],
         message=payload["message"],
         changed_utc_ns=event.utc_ns,
         raised_h=payload["raised_h"],
         set_index=payload["raised_set_index"],
-        evidence=next(iter(evidence(payload["kind"], payload.get("proof") or {})), ""),
+        evidence=next(iter(describe_evidence(payload["kind"], payload.get("evidence") or {})), ""),
     )
 
 
@@ -149,7 +149,7 @@ def alarm_message(
     paragraphs = [item["text"] for item in shown]
     if not_shown:
         paragraphs.append(f"And {len(not_shown)} more: {_counts_text(not_shown)}.")
-    highest_severity = max((item.severity for item in changes), key=SEVERITIES.index)
+    highest_priority = max((item.priority for item in changes), key=PRIORITIES.index)
     title = (
         _headline(changes[0])
         if len(changes) == 1
@@ -164,8 +164,8 @@ def alarm_message(
             "test": test.name,
             "receiver": receiver,
             "sent_utc": format_utc(now_ns, 0),
-            "severity": highest_severity,
-            "counts": dict(Counter(f"{item.severity} {item.change}" for item in changes)),
+            "priority": highest_priority,
+            "counts": dict(Counter(f"{item.priority} {item.change}" for item in changes)),
             "alarms": shown,
             "not_shown": len(not_shown),
         },
@@ -199,7 +199,7 @@ def trial_message(test: Test, receiver: str, author: str, *, now_ns: int) -> Mes
 
 
 def _headline(item: AlarmChange) -> str:
-    return f"{item.severity.upper()} {item.kind}{_position_text(item)} {_CHANGE_TEXTS[item.change]}"
+    return f"{item.priority.upper()} {item.kind}{_position_text(item)} {_CHANGE_TEXTS[item.change]}"
 
 
 def _position_text(item: AlarmChange) -> str:
@@ -207,8 +207,8 @@ def _position_text(item: AlarmChange) -> str:
 
 
 def _counts_text(changes: Sequence[AlarmChange]) -> str:
-    counts = Counter((item.severity, item.change) for item in changes)
-    order = sorted(counts, key=lambda pair: -SEVERITIES.index(pair[0]))
+    counts = Counter((item.priority, item.change) for item in changes)
+    order = sorted(counts, key=lambda pair: -PRIORITIES.index(pair[0]))
     return ", ".join(f"{counts[pair]} {pair[0]} {pair[1]}" for pair in order)
 
 
@@ -223,7 +223,7 @@ def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int
     if item.change != "over":
         sentences += [item.evidence] if item.evidence else []
         guidance = GUIDANCE.get(item.kind)
-        sentences.append(f"Look first: {guidance.short if guidance else 'see the alarm and its proof.'}")
+        sentences.append(f"Look first: {guidance.short if guidance else 'see the alarm and its evidence.'}")
     link = _link(test, item)
     return {
         "event_id": item.event_id,
@@ -231,7 +231,7 @@ def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int
         "change": item.change,
         "position": item.position,
         "kind": item.kind,
-        "severity": item.severity,
+        "priority": item.priority,
         "message": item.message,
         "set_index": item.set_index,
         "quality": quality,

@@ -299,7 +299,7 @@ class ReceiverQueue:
         now_ns = self._now_ns()
         self.state.next_heartbeat_utc_ns = now_ns + round(every_s * NS_PER_S)
         facts = self._source.read_heartbeat_facts()
-        if facts["recorder"] in ("silent", "absent"):
+        if facts["recorder"] in ("not_responding", "not_started"):
             self._report_heartbeat("withheld", f"the recorder is {facts['recorder']}: {facts['doing']}")
             return
         message = heartbeat_message(self._source.test(), self.name, facts, now_ns=now_ns)
@@ -367,7 +367,7 @@ class ReceiverQueue:
             Delivery(
                 receiver=self.name,
                 what=kind,
-                told=description,
+                result=description,
                 event_ids=list(event_ids),
                 key=key,
                 attempts=attempts,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from daq_service.alarms.states import SEVERITIES
+from daq_service.alarms.states import PRIORITIES
 from daq_service.processes.notifications.messages import AlarmChange
 from daq_service.settings.notifications import RuleSettings
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -16,7 +16,7 @@ def rule_of(change: AlarmChange, receiver: str, rules: Sequence[RuleSettings]) -
     for number, rule in enumerate(rules):
         if (
             (not rule.receivers or receiver in rule.receivers)
-            and SEVERITIES.index(change.severity) >= SEVERITIES.index(rule.severity)
+            and PRIORITIES.index(change.priority) >= PRIORITIES.index(rule.priority)
             and (not rule.positions or change.position in rule.positions)
             and (not rule.kinds or change.kind in rule.kinds)
         ):

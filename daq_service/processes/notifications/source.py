@@ -95,7 +95,7 @@ class Source:
             catalogue = self._catalogue()
         except NoDataYetError:
             return {
-                "recorder": "absent",
+                "recorder": "not_started",
                 "doing": "no test has begun",
                 "last_set_age_h": None,
                 "last_write_age_s": None,

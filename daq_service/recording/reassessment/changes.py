@@ -26,10 +26,10 @@ from daq_service.catalogue.rows import (
 from hardware_drivers.measurement import in_order
 from hardware_drivers.nanoseconds import NS_PER_H
 
-ONSETS = ("alarm_raised", "alarm_returned")
+ONSETS = ("alarm_raised", "alarm_reactivated")
 NOT_COMPARED = frozenset({"id", "created_utc_ns"})
 """Columns about the storage of a row, not its contents."""
-LIFE = ("state", "approval", "approved_utc_ns", "retired_utc_ns", "retired_by", "retired_because")
+LIFE = ("state", "approval", "approved_utc_ns", "retired_utc_ns", "retired_by", "retired_reason")
 """Columns of a baseline that a person's step changes."""
 EXTRACTED = (FeatureRow, ThicknessRow)
 ASSESSED = (BaselineRow, AssessmentRow)
@@ -43,7 +43,7 @@ class Onset:
     kind: str
     set_index: int
     hour: float
-    severity: str
+    priority: str
     message: str
 
 
@@ -97,7 +97,7 @@ def onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onset]:
             kind=event.payload["kind"],
             set_index=event.set_index,
             hour=(event.utc_ns - epoch_utc_ns) / NS_PER_H,
-            severity=event.payload["severity"],
+            priority=event.payload["priority"],
             message=event.payload["message"],
         )
         for event in catalogue.rows(EventRow, topic="alarms")

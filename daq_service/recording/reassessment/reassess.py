@@ -152,7 +152,7 @@ class _Reassessment:
 
     def run(self, up_to_set: int | None, progress: Progress) -> set[int]:
         """Reassess the sets in their order and return their indices."""
-        events = self._stored.rows(EventRow, topics=("sets", "alarms", "verdicts"))
+        events = self._stored.rows(EventRow, topics=("sets", "alarms", "assessments"))
         last = None if up_to_set is None else in_order(up_to_set)
         total = len(
             {
@@ -194,7 +194,7 @@ class _Reassessment:
         """Store the rows of a set without records; failed strikes may raise alarms."""
         self._assessor.commit(Transaction(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
-            if row.purpose is None and row.state != "retired" and row.n_missed:
+            if row.purpose is None and row.state != "disabled" and row.n_missed:
                 utc_ns = row.ended_utc_ns or row.due_utc_ns
                 moment = Moment(utc_ns=utc_ns, due_h=row.due_h, set_index=row.set_index)
                 for condition in self._assessor.passed(row):

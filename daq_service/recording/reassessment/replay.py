@@ -49,7 +49,7 @@ class NotAssessed:
         Sets that the baseline takes.
     last_set
         The position's last one.
-    told
+    description
          Message with the remedy.
     """
 
@@ -57,7 +57,7 @@ class NotAssessed:
     first_set_index: int
     last_set_index: int
     last_set: int
-    told: str
+    description: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -161,9 +161,9 @@ def _not_assessed(position: str, recomputed: Catalogue, settings: Settings) -> I
         first_set_index=sets.first_set,
         last_set_index=sets.last_set,
         last_set=last_set,
-        told=f"nothing is judged at {position}: baseline.hours = {settings.baseline.hours:g} makes the sets "
-        f"{sets.first_set} to {sets.last_set} the baseline, and the last one there is set {last_set}; "
-        "give fewer hours",
+        description=f"nothing is judged at {position}: baseline.hours = {settings.baseline.hours:g} makes "
+        f"the sets {sets.first_set} to {sets.last_set} the baseline, and the last one there is set "
+        f"{last_set}; give fewer hours",
     )
 
 

@@ -64,15 +64,15 @@ _STORED_ROWS: Mapping[str, type[Row]] = {
     "set_done": SetRow,
     "set_partial": SetRow,
     "set_missed": SetRow,
-    "set_retired": SetRow,
+    "set_disabled": SetRow,
     "set_features": FeatureRow,
     "thickness_read": ThicknessRow,
     "baseline_frozen": BaselineRow,
-    "set_judged": AssessmentRow,
+    "set_assessed": AssessmentRow,
     "environment_read": EnvironmentRow,
 }
 """Kinds of events that hold a complete row."""
-_COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_judged")
+_COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_assessed")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -208,7 +208,7 @@ class _Restoration:
         """Restore the stored rows of a set; its assessors follow them."""
         transaction = _with_stored_rows(transaction, events, all_rows=True)
         # The events of a set with all its records are complete: a position without one was left out.
-        left_out = dict.fromkeys(self._settings.positions, "retired") if transaction.shots else {}
+        left_out = dict.fromkeys(self._settings.positions, "disabled") if transaction.shots else {}
         transaction.sets = self._completed_sets(transaction.sets, left_out | self._set_assessor.retired())
         places = list(self._settings.positions)  # as a recorder orders them
         transaction.features.sort(key=lambda row: (places.index(row.position), row.shot_index is None))

@@ -13,7 +13,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from daq_service.assessment.position_status import PositionStatus
 from daq_service.catalogue import rows
-from daq_service.catalogue.rows import Quality, ReadingQuality, Severity, SupplyState
+from daq_service.catalogue.rows import Priority, Quality, ReadingQuality, SupplyState
 from daq_service.commands.audit import Result
 from daq_service.processes.notifications.delivery_log import DeliveryKind
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
@@ -94,7 +94,7 @@ class AsOf(Answer):
     now_h: float = Field(description="Hours since the experiment began")
     last_write_wall_utc: str | None = Field(description="Wall time of the recorder's last committed event")
     wall_age_s: float | None = Field(description="Wall seconds since then")
-    recorder: Literal["running", "finished", "stopped", "silent", "absent"]
+    recorder: Literal["running", "finished", "stopped", "not_responding", "not_started"]
 
 
 @_of_row(rows.SetRow)
@@ -157,10 +157,10 @@ class ConfirmationSet(Answer):
     confirms: bool | None = Field(description="It lies where the planned sets before it do; null: unknown")
     distance_squared: float | None = Field(description="Its squared distance; null: not judged")
     limit: float | None = Field(description="Limit beyond which a set is an outlier")
-    why_not: str | None = Field(description="Why it cannot tell; null: it can")
+    reason: str | None = Field(description="Why it cannot tell; null: it can")
 
 
-class AlarmProof(BaseModel):
+class AlarmEvidence(BaseModel):
     """Evidence of an alarm: fields by kind; for the supply, the columns of environment."""
 
     model_config = ConfigDict(extra="allow")
@@ -171,12 +171,14 @@ class AlarmProof(BaseModel):
     distance_squared: float | None = Field(default=None, description="Squared distance of that set")
     limit_name: str | None = Field(default=None, description="The limit that decides")
     raised_by: str | None = Field(
-        default=None, description="Where the chart decides: `chart`, or `cause`, a wall that is named"
+        default=None, description="Where the chart decides: `chart`, or `diagnosis`, a wall that is named"
     )
-    chart: float | None = Field(default=None, description="Statistic of the chart, where it decides")
+    mewma_statistic: float | None = Field(
+        default=None, description="Statistic of the chart, where it decides"
+    )
     limit: float | None = Field(default=None, description="That limit")
-    rate_guaranteed: bool | None = Field(default=None, description="The chart keeps to its budget")
-    why_not_guaranteed: str | None = Field(default=None, description="Why it may not; null: it does")
+    rate_verified: bool | None = Field(default=None, description="The chart keeps to its budget")
+    rate_not_verified_reason: str | None = Field(default=None, description="Why it may not; null: it does")
     baseline_id: int | None = Field(default=None, description="Baseline that it was judged against")
     contributions: dict[str, float | None] | None = Field(
         default=None, description="Part of the squared distance, or of the chart's statistic, by feature"
@@ -191,7 +193,9 @@ class AlarmProof(BaseModel):
     travel_time_s: float | None = Field(default=None, description="Time of the echo")
     reference_travel_time_s: float | None = Field(default=None, description="The same when the test began")
     delay_s: float | None = Field(default=None, description="Delay of the probe that was taken off")
-    poor_sets_running: int | None = Field(default=None, description="Sets running with too few valid shots")
+    consecutive_poor_sets: int | None = Field(
+        default=None, description="Sets running with too few valid shots"
+    )
     minimum_valid_shots: int | None = Field(default=None, description="So many valid shots a set needs")
     shots_without_psw: int | None = Field(default=None, description="Shots without a reflected wave")
     error: str | None = Field(default=None, description="What the instrument's driver raised")
@@ -205,8 +209,8 @@ class AlarmProof(BaseModel):
 class AlarmRow(Answer):
     """Alarm with its evidence."""
 
-    proof: AlarmProof = Field(description="What it rests on")
-    proof_sentences: list[str] = Field(
+    evidence: AlarmEvidence = Field(description="What it rests on")
+    evidence_sentences: list[str] = Field(
         description="The same for an operator: what was measured, by how much it passes which limit, the "
         "features that contribute most, the rule, and when; the first one says most"
     )
@@ -270,7 +274,7 @@ class AlarmTransition(Answer):
     utc: str
     wall_utc: str = Field(description="When it was stored")
     state: rows.AlarmState = Field(description="From then on")
-    severity: Severity
+    priority: Priority
     suppressed: rows.Suppression | None
     who: str | None = Field(description="null: nobody, the measurement or the time")
     why: str | None
@@ -288,11 +292,11 @@ class Guidance(Answer):
     """Guidance for a kind of alarm."""
 
     kind: str
-    says: str = Field(description="What has been found")
-    does_not_say: str = Field(description="What that does not prove")
-    look_first: list[str] = Field(description="Likely causes, in the order in which to look")
+    meaning: str = Field(description="What has been found")
+    limitations: str = Field(description="What that does not prove")
+    checks: list[str] = Field(description="Likely causes, in the order in which to look")
     short: str = Field(description="The same in a sentence or two")
-    call: str = Field(description="Who decides")
+    contact: str = Field(description="Who decides")
 
 
 class GuidanceList(Answer):
@@ -362,7 +366,7 @@ class TableInfo(Answer):
     """A table that can be exported."""
 
     table: str
-    told: str
+    description: str
     columns: list[TableColumn]
 
 
@@ -387,7 +391,7 @@ class PositionStanding(Answer):
     label: str
     method: Method
     state: PositionStatus = Field(
-        description="`not_assessed`: `last_verdict.reason` gives the reason. `shelved`, `out_of_service`: an "
+        description="`not_assessed`: see `last_assessment.reason`. `shelved`, `out_of_service`: an "
         "alarm is active, but suppressed"
     )
     stale: bool = Field(description="The newest data are older than this test's cadence explains")
@@ -403,14 +407,14 @@ class PositionState(PositionStanding):
     last_set: SetRow | None
     last_feature: FeatureRow | None
     last_thickness: ThicknessRow | None
-    last_verdict: AssessmentRow | None
-    retired_because: str | None = Field(
+    last_assessment: AssessmentRow | None
+    disabled_reason: str | None = Field(
         description="Why the transducer strikes no more until it is reinstated; null: it strikes"
     )
     active_alarms: int = Field(description="Those that are told of")
     suppressed_alarms: int = Field(description="Active ones that are shelved or out of service")
     shelved_until_utc: str | None = Field(description="When the first of them is told of again")
-    highest_severity: Severity | None
+    highest_priority: Priority | None
 
 
 class PositionList(Answer):
@@ -455,7 +459,7 @@ class NamedLimitInfo(Answer):
     """Limit of a statistic; baselines and assessments hold its value by this name."""
 
     name: str
-    words: str = Field(description="What it means, in a sentence")
+    description: str = Field(description="What it means, in a sentence")
     of: str = Field(description="Statistic that it bounds")
     unit: str = Field(description="Of both; `1`: a pure number")
 
@@ -511,6 +515,8 @@ class Info(Answer):
     """Identity and configuration of the test."""
 
     name: str
+    uuid: str = Field(description="Of the test: a backup has the same, a copy that continues another one")
+    site: str | None = Field(description="Where the test runs; null: not given")
     version: str
     configuration_hash: str
     rig: str
@@ -542,7 +548,7 @@ class Liveness(Answer):
 class RecorderHealth(Answer):
     """Status and heartbeat of the recorder."""
 
-    state: Literal["running", "finished", "stopped", "silent", "absent"]
+    state: Literal["running", "finished", "stopped", "not_responding", "not_started"]
     description: str
     doing: str | None
     beat_age_s: float | None
@@ -582,15 +588,22 @@ class TrendBins(Answer):
     n_sets: list[int] = Field(description="Sets that were measured")
     n_missed: list[int]
     n_outliers: list[int]
-    n_outliers_paper: list[int]
+    n_outliers_mean_3sd: list[int]
     first_outlier_set_index: list[int | None]
     n_alarms: list[int] = Field(description="Alarms of the position that were raised in these sets")
     first_alarm_set_index: list[int | None]
 
 
 TREND_ASSESSMENTS = (
-    *("distance_squared", "limit_f", "limit_paper", "outlier", "outlier_paper", "in_baseline"),
-    *("chart", "reason"),
+    *(
+        "distance_squared",
+        "limit_f_predictive",
+        "limit_mean_3sd",
+        "outlier",
+        "outlier_mean_3sd",
+        "in_baseline",
+    ),
+    *("mewma_statistic", "reason"),
 )
 """Columns of a trend from the assessment."""
 MEASURED_FIELDS = tuple(
@@ -759,7 +772,7 @@ class HeartbeatState(Answer):
     state: Literal["off", "ok", "failing", "withheld"] = Field(
         description="`withheld`: no recorder answers, so none is sent; `off`: none was due yet"
     )
-    told: str = Field(description="What became of the last one")
+    result: str = Field(description="What became of the last one")
     last_utc: str | None = Field(description="Of the last one that was taken")
     next_utc: str | None
 
@@ -792,7 +805,7 @@ class NotificationsState(Answer):
     """State of the notifications; times are of the computer's clock."""
 
     sending: bool = Field(description="True: this service tells the receivers")
-    why_silent: str = Field(description="Why it does not")
+    not_sending_reason: str = Field(description="Why it does not")
     receivers: list[ReceiverState]
 
 
@@ -802,7 +815,7 @@ class TrialResult(Answer):
     receiver: str
     ok: bool
     status: int | None = Field(description="Of HTTP; null: none came, or the receiver is no webhook")
-    told: str
+    result: str
     took_s: float
 
 
@@ -815,7 +828,7 @@ class DeliveryEntry(Answer):
     what: DeliveryKind = Field(
         description="`sending` without `sent` behind it: it is under way, or a crash came in between"
     )
-    told: str
+    result: str
     event_ids: list[int]
     key: str = Field(description="The message's Idempotency-Key; the same again is the same message")
     attempts: int

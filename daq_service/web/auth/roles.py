@@ -31,7 +31,7 @@ OPERATIONS: Mapping[str, Role | None] = {
     "list_shots": "viewer",
     "list_features": "viewer",
     "list_thickness": "viewer",
-    "list_verdicts": "viewer",
+    "list_assessments": "viewer",
     "list_baselines": "viewer",
     "get_trend": "viewer",
     "get_fit": "viewer",

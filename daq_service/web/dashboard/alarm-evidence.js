@@ -32,14 +32,14 @@ const trendReader = (fields, exceeds) => async (/** @type {any} */ alarm, /** @t
     hour: columns.due_h[k],
     value: columns[fields[0]][k],
     quality: columns.quality[k],
-    exceeds: exceeds(columns, k, alarm.proof),
+    exceeds: exceeds(columns, k, alarm.evidence),
   }));
 };
 
 /** @param {any} alarm @param {{from_h: number, to_h: number}} range @returns {Promise<AssessedSet[]>} */
 async function readValidShots(alarm, { from_h, to_h }) {
   const { items } = await get(`/sets?position=${alarm.position}&from_h=${from_h}&to_h=${to_h}&limit=100`);
-  const minimum = alarm.proof.minimum_valid_shots;
+  const minimum = alarm.evidence.minimum_valid_shots;
   return items.map((/** @type {any} */ set) => ({
     set: set.set_index,
     hour: set.due_h,
@@ -75,7 +75,7 @@ const KINDS = {
     source: { fields: WALL, method: "solitary_wave" },
     read: trendReader(WALL, ({ outlier }, k) => outlier[k]),
   },
-  thickness: {
+  thickness_low: {
     ...{
       name: "Wall thickness",
       short: "thickness",
@@ -88,8 +88,8 @@ const KINDS = {
       wall[k] === null || quality[k] === "bad" ? null : wall[k] < limit_m,
     ),
   },
-  no_data: SHOTS,
-  retired: SHOTS,
+  few_valid_shots: SHOTS,
+  transducer_disabled: SHOTS,
   hole: SHOTS,
 };
 KINDS.transducer_change = KINDS.wall_change;
@@ -99,8 +99,10 @@ const BY_CHART = {
   ...KINDS.wall_change,
   name: "Chart",
   short: "chart",
-  source: { fields: ["chart"], method: "solitary_wave" },
-  read: trendReader(["chart"], ({ chart }, k, { limit }) => (chart[k] === null ? null : chart[k] > limit)),
+  source: { fields: ["mewma_statistic"], method: "solitary_wave" },
+  read: trendReader(["mewma_statistic"], ({ mewma_statistic: chart }, k, { limit }) =>
+    chart[k] === null ? null : chart[k] > limit,
+  ),
 };
 
 /**
@@ -161,8 +163,8 @@ export class AlarmEvidence {
   /** @param {any} alarm */
   update(alarm) {
     this.alarm = alarm;
-    this.sentences.replaceChildren(...alarm.proof_sentences.map((/** @type {string} */ text) => el("li", { text })));
-    setText(this.raw, JSON.stringify(alarm.proof, null, 1));
+    this.sentences.replaceChildren(...alarm.evidence_sentences.map((/** @type {string} */ text) => el("li", { text })));
+    setText(this.raw, JSON.stringify(alarm.evidence, null, 1));
   }
 
   /** Draw new sets that belong to an open chart. */
@@ -174,7 +176,7 @@ export class AlarmEvidence {
   /** Read the sets around the alarm and draw them. */
   async read() {
     const { alarm, host } = this;
-    const kind = alarm.proof.limit_name === "chart" ? BY_CHART : KINDS[alarm.kind];
+    const kind = alarm.evidence.limit_name === "chart" ? BY_CHART : KINDS[alarm.kind];
     const fullTrend = alarm.position === null ? null : host.trend(alarm.position);
     if (!kind || !fullTrend?.columns.due_h.length) return;
     // The interval of the schedule there, from the hours that the page knows.
@@ -200,11 +202,11 @@ export class AlarmEvidence {
     const { alarm, host } = this;
     const { factor, unit } = shownUnit(kind.unit);
     const inUnit = (/** @type {number | null} */ value) => (value === null ? null : value * factor);
-    const limit = inUnit(alarm.proof[kind.limit] ?? null);
+    const limit = inUnit(alarm.evidence[kind.limit] ?? null);
     const lastSet = alarm.raised_set_index ?? Infinity;
     const evaluated = assessed
       .filter((one) => one.exceeds !== null && one.set <= lastSet)
-      .slice(-(alarm.proof.rule?.n ?? alarm.proof.poor_sets_running ?? 1));
+      .slice(-(alarm.evidence.rule?.n ?? alarm.evidence.consecutive_poor_sets ?? 1));
     const exceeds = evaluated.filter((one) => one.exceeds).length;
     // A kind without a limit (hole) is only drawn.
     const subtitle = !evaluated.length

@@ -1,4 +1,4 @@
-// Filter the alarm list by state, severity, position and kind.
+// Filter the alarm list by state, priority, position and kind.
 
 import { el } from "./dom.js";
 
@@ -26,7 +26,7 @@ export class AlarmFilter {
     this.state = select("Alarms by state");
     this.state.append(...Object.entries(STATES).map(([value, [text]]) => el("option", { value, text })));
     this.by = {
-      severity: select("Alarms by severity"),
+      priority: select("Alarms by priority"),
       position: select("Alarms by position"),
       kind: select("Alarms by kind"),
     };
@@ -51,7 +51,7 @@ export class AlarmFilter {
       select.replaceChildren(
         el("option", {
           value: ALL,
-          text: { severity: "Any severity", position: "Any position", kind: "Any kind" }[name] ?? name,
+          text: { priority: "Any priority", position: "Any position", kind: "Any kind" }[name] ?? name,
         }),
         ...found[name].map((one) => el("option", { value: one, text: one.replaceAll("_", " ") })),
       );

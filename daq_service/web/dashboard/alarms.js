@@ -6,7 +6,7 @@ import { askConfirmation } from "./control/confirm.js";
 import { authorName, isAllowed } from "./control/session.js";
 import { button, el, setText } from "./dom.js";
 import { hour, setName, utc } from "./format.js";
-import { SEVERITIES, chip } from "./icons.js";
+import { PRIORITIES, chip } from "./icons.js";
 import { awaitResult, sendByButton, sendCommand } from "./commands.js";
 import { AlarmEvidence, setLink } from "./alarm-evidence.js";
 import { ShelveDialog, suppressedText, restoreAlarm } from "./shelve.js";
@@ -71,7 +71,7 @@ export class SolimonAlarms extends HTMLElement {
         Number(isWaiting(b)) - Number(isWaiting(a)) ||
         Number(b.state !== "normal") - Number(a.state !== "normal") ||
         Number(Boolean(a.suppressed)) - Number(Boolean(b.suppressed)) ||
-        RANK[/** @type {"critical"} */ (a.severity)] - RANK[/** @type {"critical"} */ (b.severity)] ||
+        RANK[/** @type {"critical"} */ (a.priority)] - RANK[/** @type {"critical"} */ (b.priority)] ||
         b.raised_h - a.raised_h,
     );
     const waiting = items.filter(isWaiting).length;
@@ -144,7 +144,7 @@ export class SolimonAlarms extends HTMLElement {
         "aria-label": `Shelve: ${alarm.message}`,
       });
     foot.append(this.history(alarm.id), this.guidanceBox(alarm));
-    if (alarm.kind === "clock_doubted" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged"))
+    if (alarm.kind === "clock_unverified" && (alarm.state === "unacknowledged" || alarm.state === "acknowledged"))
       offer("trust", "trust_clock", this.trustClockStatus ?? "The clock is right", () => this.trustClock(), {
         class: "button small",
         disabled: this.trustClockStatus !== undefined,
@@ -163,7 +163,7 @@ export class SolimonAlarms extends HTMLElement {
         ),
       );
     }
-    const confirmationSet = alarm.proof?.confirmation?.set_index;
+    const confirmationSet = alarm.evidence?.confirmation?.set_index;
     if (confirmationSet != null)
       foot.append(
         setLink(
@@ -196,14 +196,14 @@ export class SolimonAlarms extends HTMLElement {
       el(
         "div",
         { class: "alarm-head" },
-        chip(SEVERITIES[alarm.severity] ?? SEVERITIES.low),
+        chip(PRIORITIES[alarm.priority] ?? PRIORITIES.low),
         el("strong", {}, `${alarm.position ?? "Service"} · `, hourButton),
         el("span", { class: "quiet", text: utc(alarm.raised_utc) }),
       ),
       el("p", { class: "alarm-message", text: alarm.message }),
       el("p", {
         class: "quiet small",
-        text: `${alarm.family} alarm, ${STATE_LABELS[alarm.state] ?? alarm.state}${who}`,
+        text: `${alarm.alarm_class} alarm, ${STATE_LABELS[alarm.state] ?? alarm.state}${who}`,
       }),
       ...(alarm.suppressed
         ? [
@@ -250,9 +250,9 @@ export class SolimonAlarms extends HTMLElement {
         if (!found) setText(text, "Nothing is written of this kind of alarm.");
         else
           text.replaceChildren(
-            el("p", { text: `It says: ${plain(found.says)}. It does not say ${plain(found.does_not_say)}.` }),
-            el("ol", {}, ...found.look_first.map((/** @type {string} */ step) => el("li", { text: plain(step) }))),
-            el("p", { text: `Decides: ${plain(found.call)}.` }),
+            el("p", { text: `It says: ${plain(found.meaning)}. It does not say ${plain(found.limitations)}.` }),
+            el("ol", {}, ...found.checks.map((/** @type {string} */ step) => el("li", { text: plain(step) }))),
+            el("p", { text: `Decides: ${plain(found.contact)}.` }),
           );
       } catch (error) {
         setText(text, /** @type {Error} */ (error).message);

@@ -2,7 +2,8 @@
 
 /** @param {any} assessment of an earlier version: two limits with their own names @returns {number | null} */
 export function limitOf(assessment) {
-  const columnLimit = assessment.limit_name === "paper_mean_3sd" ? assessment.limit_paper : assessment.limit_f;
+  const columnLimit =
+    assessment.limit_name === "paper_mean_3sd" ? assessment.limit_mean_3sd : assessment.limit_f_predictive;
   return assessment.limits?.[assessment.limit_name] ?? columnLimit;
 }
 
@@ -14,6 +15,6 @@ export function limitOf(assessment) {
  */
 export function diagnosisText(assessment) {
   const probability =
-    assessment.cause === "cannot tell" ? "" : ` (${Math.round(100 * assessment.cause_probability)} %)`;
-  return `${assessment.cause}${probability}`;
+    assessment.diagnosis === "undetermined" ? "" : ` (${Math.round(100 * assessment.diagnosis_probability)} %)`;
+  return `${assessment.diagnosis}${probability}`;
 }

@@ -26,7 +26,7 @@ const ANOMALY_TEXTS = {
 
 /** @param {any} row of /baselines */
 function approvalText(row) {
-  const { retired_by: author, retired_because: reason } = row;
+  const { retired_by: author, retired_reason: reason } = row;
   if (row.state === "retired") return `retired by ${author}, ${utc(row.retired_utc)}: ${reason}`;
   if (row.state !== "approved") return "";
   return (
@@ -41,8 +41,8 @@ const unusable = (row) => row.state !== "collecting" && row.state !== "retired" 
 /** @param {any} quality of a baseline */
 function falseAlarmText({
   false_alarms_per_sensor_year,
-  rate_guaranteed: rateVerified,
-  why_not_guaranteed: unverifiedReason,
+  rate_verified: rateVerified,
+  rate_not_verified_reason: unverifiedReason,
 }) {
   return (
     `${significant(false_alarms_per_sensor_year)} a year by the chart, ` +
@@ -57,7 +57,7 @@ function falseAlarmText({
  * @returns {[string, string][]}
  */
 function facts(row) {
-  const { readiness: quality, temperature_c } = row;
+  const { baseline_quality: quality, temperature_c } = row;
   const range = `${row.first_set_index} to ${row.last_set_index}`;
   if (row.state === "collecting")
     return [

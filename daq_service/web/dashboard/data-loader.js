@@ -18,11 +18,11 @@ export const FIELDS = {
     "tof_pp_s",
     "amplitude_ratio",
     "distance_squared",
-    "limit_f",
-    "limit_paper",
+    "limit_f_predictive",
+    "limit_mean_3sd",
     "outlier",
-    "outlier_paper",
-    "chart",
+    "outlier_mean_3sd",
+    "mewma_statistic",
   ],
   pulse_echo: ["thickness_m", "travel_time_s"],
 };
@@ -219,11 +219,11 @@ export class DataLoader {
       // A frozen baseline or a correction changes sets that are drawn already.
       if (
         topic === "service" ||
-        (topic === "verdicts" && (event.set_index ?? last) < last) ||
+        (topic === "assessments" && (event.set_index ?? last) < last) ||
         String(event.kind).includes("baseline")
       )
         this.reload(event.position);
-      if (event.kind === "set_missed" || event.kind === "set_retired" || event.set_index >= PLANNED_SETS)
+      if (event.kind === "set_missed" || event.kind === "set_disabled" || event.set_index >= PLANNED_SETS)
         dirty.gaps.add(event.position);
       dirty.positions.add(event.position);
     } else if (!["alarms", "service", "environment"].includes(topic)) this.reloadAll();
@@ -359,7 +359,7 @@ export class DataLoader {
 
   /** Read missed, disabled and unscheduled sets: marks of the charts. @param {string} position */
   async readGaps(position) {
-    const which = ["state=missed", "state=retired", "purpose=confirmation"];
+    const which = ["state=missed", "state=disabled", "purpose=confirmation"];
     const pages = await Promise.all(which.map((one) => getAllPages(`/sets?position=${position}&${one}&limit=1000`)));
     this.confirmations.set(position, pages.pop() ?? []);
     this.gaps.set(

@@ -21,7 +21,7 @@ export class DisabledTransducers {
 
   /** @param {any} answer of /transducers */
   update(answer) {
-    this.items = answer.items.filter((/** @type {any} */ { retired_because: reason }) => reason !== null);
+    this.items = answer.items.filter((/** @type {any} */ { disabled_reason: reason }) => reason !== null);
     this.acceptsCommands = answer.as_of.recorder !== "finished" && answer.as_of.recorder !== "stopped";
     this.render();
   }
@@ -30,7 +30,7 @@ export class DisabledTransducers {
     const content = JSON.stringify([
       this.acceptsCommands,
       [...this.commandStatus],
-      this.items.map(({ position, retired_because: reason }) => [position, reason]),
+      this.items.map(({ position, disabled_reason: reason }) => [position, reason]),
     ]);
     if (content === this.shown) return;
     this.shown = content;
@@ -41,11 +41,11 @@ export class DisabledTransducers {
   }
 
   /** @param {any} item of /transducers @returns {HTMLElement} */
-  row({ position, retired_because: reason }) {
+  row({ position, disabled_reason: reason }) {
     const row = el(
       "div",
       { class: "banner", "data-tone": "alarm" },
-      chip(STATES.retired),
+      chip(STATES.disabled),
       el("p", {}, el("strong", { text: `Position ${position}: ` }), reason),
     );
     if (this.acceptsCommands && isAllowed("enable")) {

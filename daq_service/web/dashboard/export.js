@@ -30,7 +30,11 @@ let formats = [];
  * @param {string} method
  */
 const tableOf = (field, method) =>
-  method === "pulse_echo" ? "thickness" : ["distance_squared", "chart"].includes(field) ? "verdicts" : "features";
+  method === "pulse_echo"
+    ? "thickness"
+    : ["distance_squared", "mewma_statistic"].includes(field)
+      ? "assessments"
+      : "features";
 
 /** Return a text or number as a Python literal. @param {string | number} value */
 const literal = (value) => JSON.stringify(value);
@@ -66,7 +70,7 @@ export function chartOffer({ fields, method, positions }, span) {
     files,
     python: [
       "data = {",
-      `    position: test.${table === "verdicts" ? "assessments" : table}(${args})[[${columns}]]`,
+      `    position: test.${table}(${args})[[${columns}]]`,
       `    for position in [${positions.map(literal).join(", ")}]`,
       "}",
     ],
@@ -82,7 +86,7 @@ export function chartOffer({ fields, method, positions }, span) {
 export function testOffer(span) {
   const range = hoursOf(span);
   const tables = {
-    verdicts: "Verdicts",
+    assessments: "Assessments",
     features: "Features",
     thickness: "Thickness",
     sets: "Sets",
@@ -95,7 +99,7 @@ export function testOffer(span) {
     files: [
       { title: "Report that prints", path: `/report?${query(range)}`, as: "HTML" },
       ...Object.entries(tables).map(([table, title]) => ({ title, path: `/tables/${table}?${query(range)}` })),
-      { title: "Verdicts on confirmation sets", path: `/tables/verdicts?${confirmations}` },
+      { title: "Assessments of confirmation sets", path: `/tables/assessments?${confirmations}` },
       { title: "Features of confirmation sets", path: `/tables/features?${confirmations}` },
     ],
     python: [

@@ -42,14 +42,14 @@ export function icon(name) {
 /** @type {Record<string, Look>} */
 export const STATES = {
   no_data: { label: "No data", icon: "dash", tone: "" },
-  learning: { label: "Learning baseline", icon: "dots", tone: "info" },
-  not_judged: { label: "Not judged", icon: "triangle", tone: "warn" },
+  collecting_baseline: { label: "Learning baseline", icon: "dots", tone: "info" },
+  not_assessed: { label: "Not judged", icon: "triangle", tone: "warn" },
   normal: { label: "Normal", icon: "check", tone: "good" },
   outlier: { label: "Outlier", icon: "triangle", tone: "warn" },
   shelved: { label: "Shelved", icon: "pause", tone: "warn" },
   out_of_service: { label: "Out of service", icon: "pause", tone: "warn" },
   alarm: { label: "Alarm", icon: "bell", tone: "alarm" },
-  retired: { label: "Disabled", icon: "stop", tone: "alarm" },
+  disabled: { label: "Disabled", icon: "stop", tone: "alarm" },
 };
 
 /** @type {Record<string, Look>} */
@@ -57,12 +57,12 @@ export const RECORDER = {
   running: { label: "Live", icon: "check", tone: "good" },
   finished: { label: "Test finished", icon: "flag", tone: "info" },
   stopped: { label: "Recorder stopped", icon: "stop", tone: "warn" },
-  silent: { label: "Recorder silent", icon: "triangle", tone: "alarm" },
-  absent: { label: "Recorder absent", icon: "triangle", tone: "warn" },
+  not_responding: { label: "Recorder silent", icon: "triangle", tone: "alarm" },
+  not_started: { label: "Recorder absent", icon: "triangle", tone: "warn" },
 };
 
 /** @type {Record<string, Look>} */
-export const SEVERITIES = {
+export const PRIORITIES = {
   critical: { label: "Critical", icon: "bell", tone: "alarm" },
   high: { label: "High", icon: "bell", tone: "alarm" },
   medium: { label: "Medium", icon: "triangle", tone: "warn" },

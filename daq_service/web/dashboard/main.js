@@ -57,7 +57,7 @@ const waterfall = /** @type {SolimonWaterfall} */ (byId("waterfall"));
 const alarmList = /** @type {SolimonAlarms} */ (byId("alarms"));
 const notes = /** @type {SolimonNotes} */ (byId("notes"));
 const panel = /** @type {SolimonSet} */ (byId("set"));
-const state = { connected: false, hasSupply: false, recorder: "absent", shown: "", now_h: 0, clockReadAt: 0 };
+const state = { connected: false, hasSupply: false, recorder: "not_started", shown: "", now_h: 0, clockReadAt: 0 };
 
 const address = new Address(show);
 /** @type {DataLoader} */

@@ -34,7 +34,7 @@ function heartbeat(beat) {
     withheld: "withheld",
   });
   const last = beat.last_utc ? `, last ${utc(beat.last_utc)}` : "";
-  const { told: response } = beat;
+  const { result: response } = beat;
   return `${states[beat.state]}${last}${beat.state === "ok" ? "" : ` ${response}`}`;
 }
 
@@ -98,7 +98,7 @@ class Receiver {
     this.button.disabled = true;
     setText(this.result, "Sending");
     try {
-      const { ok, took_s, told: response } = await post(`/notifications/${this.name}/test`, {});
+      const { ok, took_s, result: response } = await post(`/notifications/${this.name}/test`, {});
       setText(
         this.result,
         `${ok ? "The trial arrived" : "The trial did not arrive"} after ${took_s.toFixed(1)} s: ${response}`,
@@ -148,7 +148,7 @@ export class Notifications {
 
   /** @param {any} answer */
   #show(answer) {
-    setText(this.status, answer.sending ? "" : `This service sends nothing now: ${answer.why_silent}`);
+    setText(this.status, answer.sending ? "" : `This service sends nothing now: ${answer.not_sending_reason}`);
     for (const receiver of answer.receivers) this.receivers.get(receiver.name)?.update(receiver);
   }
 
@@ -172,7 +172,7 @@ export class Notifications {
     if (!(/** @type {HTMLDetailsElement} */ (this.log).open)) return;
     try {
       const { items } = await get(`/notifications/log?limit=${LOG_LINES}`);
-      const cells = (/** @type {any} */ { utc: time, receiver, what, told: response, event_ids }) => [
+      const cells = (/** @type {any} */ { utc: time, receiver, what, result: response, event_ids }) => [
         utc(time),
         receiver,
         what.replace("_", " "),

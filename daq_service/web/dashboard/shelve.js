@@ -16,7 +16,7 @@ const LENGTHS = [
 export function suppressedText(alarm) {
   if (!alarm.suppressed) return "";
   const state = alarm.suppressed === "shelved" ? `shelved until ${utc(alarm.shelved_until_utc)}` : "out of service";
-  const { suppressed_by: author, suppressed_because: reason } = alarm;
+  const { suppressed_by: author, suppressed_reason: reason } = alarm;
   return `${state} by ${author}: ${reason}`;
 }
 

@@ -4,7 +4,7 @@ import { get } from "./api.js";
 import { byId, el, setText } from "./dom.js";
 import { UpdateFailure } from "./update-failure.js";
 import { ageText, hour } from "./format.js";
-import { RECORDER, SEVERITIES, STATES, chip } from "./icons.js";
+import { RECORDER, PRIORITIES, STATES, chip } from "./icons.js";
 import { waitForLogin } from "./login.js";
 import { Theme } from "./theme.js";
 
@@ -54,13 +54,13 @@ function card(item) {
     return element;
   }
   head.append(chip(STATES[standing.state]), chip(RECORDER[standing.recorder]));
-  if (standing.highest_severity)
+  if (standing.highest_priority)
     head.append(
       chip({
-        ...SEVERITIES[standing.highest_severity],
+        ...PRIORITIES[standing.highest_priority],
         label:
           `${standing.active_alarms} alarm${standing.active_alarms > 1 ? "s" : ""}, worst ` +
-          `${standing.highest_severity}`,
+          `${standing.highest_priority}`,
       }),
     );
   if (standing.held) head.append(chip({ label: "Paused", icon: "pause", tone: "warn" }));

@@ -169,7 +169,7 @@ export class Tiles {
 
   /** @param {any} state @returns {Element[]} */
   solitaryWave(state) {
-    const { last_verdict: assessment } = state;
+    const { last_assessment: assessment } = state;
     const feature = state.last_feature;
     const limit = assessment ? limitOf(assessment) : null;
     const ratio =
@@ -187,12 +187,12 @@ export class Tiles {
       ),
       gauge(ratio),
       list([
-        ...(assessment?.cause ? [/** @type {[string, string]} */ (["Cause", diagnosisText(assessment)])] : []),
-        ...(typeof assessment?.chart === "number" && assessment.limits?.chart
+        ...(assessment?.diagnosis ? [/** @type {[string, string]} */ (["Cause", diagnosisText(assessment)])] : []),
+        ...(typeof assessment?.mewma_statistic === "number" && assessment.limits?.chart
           ? [
               /** @type {[string, string]} */ ([
                 "Chart",
-                `${significant(assessment.chart)}, limit ${significant(assessment.limits.chart)}`,
+                `${significant(assessment.mewma_statistic)}, limit ${significant(assessment.limits.chart)}`,
               ]),
             ]
           : []),

@@ -7,7 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from daq_service.assessment.position_status import PositionStatus
-from daq_service.catalogue.rows import Severity
+from daq_service.catalogue.rows import Priority
 from daq_service.processes.recorder_state import RecorderStatus
 from daq_service.web.answers.models import Answer, Liveness, PositionStanding
 from daq_service.web.multi_test.location import Absence
@@ -28,7 +28,7 @@ class Standing(Answer):
     state: PositionStatus = Field(description="The gravest state of its positions")
     stale: bool = Field(description="The data of a position are older than the cadence explains")
     active_alarms: int = Field(description="Alarms that are not over, a count")
-    highest_severity: Severity | None = Field(description="Of these; null: there are none")
+    highest_priority: Priority | None = Field(description="Of these; null: there are none")
     last_set_index: int | None = Field(description="Index of the newest measured set; null: there is none")
     last_set_h: float | None = Field(description="When it was due, in h since hour 0")
     age_h: float | None = Field(description="Its age on the test's clock, h")

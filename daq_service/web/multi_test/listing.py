@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any, get_args
 
 from daq_service.acquisition.schedule import due_hours
-from daq_service.alarms.states import SEVERITIES
+from daq_service.alarms.states import PRIORITIES
 from daq_service.assessment.position_status import PositionStatus, data_hour, is_stale, status_of
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE
 from daq_service.catalogue.reader import Catalogue, LatestRows
@@ -134,7 +134,7 @@ def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> di
         "state": max((place["state"] for place in positions), key=get_args(PositionStatus).index),
         "stale": any(place["stale"] for place in positions),
         "active_alarms": len(active),
-        "highest_severity": max((row.severity for row in active), key=SEVERITIES.index, default=None),
+        "highest_priority": max((row.priority for row in active), key=PRIORITIES.index, default=None),
         "last_set_index": None if newest is None else newest.set_index,
         "last_set_h": None if newest is None else newest.due_h,
         "age_h": None if newest is None else fresh.age_h(newest.due_h),

@@ -12,9 +12,8 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from daq_service.archive import ArchiveError, FolderSetReader
+from daq_service.archive import FolderSetReader
 from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
-from daq_service.assessment.restore_state import thickness_interval_m
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.reader import Filters, LatestRows
 from daq_service.catalogue.rows import (
@@ -48,8 +47,8 @@ OF_WAVES = ("due_h", "tof_pp_s", "amplitude_ratio", "quality")
 OF_ASSESSMENTS = (
     "due_h",
     "distance_squared",
-    "limit_f",
-    "limit_paper",
+    "limit_f_predictive",
+    "limit_mean_3sd",
     "limit_name",
     "outlier",
     "in_baseline",
@@ -81,8 +80,6 @@ class PositionReport:
         Features of the sets' means, or thickness.
     assessments
         None for pulse echo.
-    thickness_interval_m
-        95 % interval of the newest reading; None: not available, or a record is unreadable.
     """
 
     name: str
@@ -95,7 +92,6 @@ class PositionReport:
     age_h: float | None
     stale: bool
     limit: float | None
-    thickness_interval_m: tuple[float, float] | None
     values: Columns
     assessments: Columns | None
     states: Mapping[str, int]
@@ -248,12 +244,6 @@ def _position_report(
     kind, columns = (ThicknessRow, OF_ECHOES) if is_probe else (FeatureRow, OF_WAVES)
     set_filters: Filters = {**filters, "position": name, "scope": None if is_probe else "set"}
     assessment_filters: Filters = {**filters, "position": name}
-    interval_m = None
-    if last.last_thickness is not None:
-        try:
-            interval_m = thickness_interval_m(last.last_thickness, settings, catalogue, archive)
-        except ArchiveError as error:  # the page shows no interval; the reading is in the catalogue
-            log.info("no interval of position %s: %s", name, error)
     states = [row.state for row in sets]
     return PositionReport(
         name=name,
@@ -266,7 +256,6 @@ def _position_report(
         age_h=age_h,
         stale=is_stale(settings.schedule, fresh, age_h),
         limit=limit_of(last, settings),
-        thickness_interval_m=interval_m,
         values=catalogue.columns(kind, columns, **set_filters),
         assessments=None
         if is_probe

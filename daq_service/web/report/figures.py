@@ -98,8 +98,8 @@ def _wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Ax
         color=VERMILLION,
         label="outlier",
     )
-    _line(distance, assessments, "limit_f", color=VERMILLION, label="F limit")
-    _line(distance, assessments, "limit_paper", color=PURPLE, linestyle="--", label="paper's limit")
+    _line(distance, assessments, "limit_f_predictive", color=VERMILLION, label="F limit")
+    _line(distance, assessments, "limit_mean_3sd", color=PURPLE, linestyle="--", label="paper's limit")
     if any(value is not None and value > 0.0 for value in assessments["distance_squared"]):
         distance.set_yscale("log")
         distance.yaxis.set_major_formatter(LogFormatter())
@@ -112,10 +112,11 @@ def _echo_panels(contents: Contents, position: PositionReport, axes: Sequence[Ax
     _points(axes[0], position.values, "thickness_m", 1e3, "wall (mm)")
     if position.limit is not None:
         axes[0].axhline(1e3 * position.limit, color=VERMILLION, label="alarm below")
-    if position.thickness_interval_m is not None and position.last.last_thickness is not None:
-        low, high = (1e3 * end for end in position.thickness_interval_m)
-        hour = position.last.last_thickness.due_h
-        axes[0].plot([hour, hour], [low, high], color=GREY, marker="_", label="95 % interval of the newest")
+    last = position.last.last_thickness
+    if last is not None and last.interval_low_m is not None and last.interval_high_m is not None:
+        ends = [1e3 * last.interval_low_m, 1e3 * last.interval_high_m]
+        hours, label = [last.due_h] * 2, "95 % interval of the newest"
+        axes[0].plot(hours, ends, color=GREY, marker="_", label=label)
     axes[0].legend(**ABOVE)
 
 

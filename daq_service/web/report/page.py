@@ -9,7 +9,7 @@ from html import escape
 from importlib.metadata import version
 from typing import Any
 
-from daq_service.alarms.evidence import proof_sentences
+from daq_service.alarms.evidence import evidence_sentences
 from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.alarms.transitions import transition
 from daq_service.assessment.stored_limits import deciding_chart
@@ -156,7 +156,7 @@ def _state_table(contents: Contents) -> list[str]:
     rows = []
     for position in contents.positions:
         last = position.last
-        assessment, measured = last.last_verdict, last.last_feature or last.last_thickness
+        assessment, measured = last.last_assessment, last.last_feature or last.last_thickness
         quality = NOT_KNOWN if measured is None else measured.quality
         if last.last_thickness is not None:
             value = quantity(last.last_thickness.thickness_m, 1e3, 3, "mm")
@@ -218,8 +218,9 @@ def _position_article(contents: Contents, position: PositionReport, figure: str)
     if position.method == PULSE_ECHO:
         rows = [_series_row("Wall thickness", position.values, "thickness_m", 1e3, 4, "mm")]
         rows += [_series_row("Lost thickness", position.values, "thickness_loss_m", 1e6, 2, "µm")]
-        interval = position.thickness_interval_m
-        label = NOT_KNOWN if interval is None else f"{1e3 * interval[0]:.4f} to {1e3 * interval[1]:.4f} mm"
+        last, label = position.last.last_thickness, NOT_KNOWN
+        if last is not None and last.interval_low_m is not None and last.interval_high_m is not None:
+            label = f"{1e3 * last.interval_low_m:.4f} to {1e3 * last.interval_high_m:.4f} mm"
         parts.append(table("Thickness", SERIES, rows))
         parts.append(f"<p>95 % interval of the newest reading: {label}.</p>")
     else:
@@ -288,20 +289,18 @@ def _alarm_article(contents: Contents, row: AlarmRow) -> str:
         f"acknowledged by {acknowledged_by}{note}"
     )
     if row.suppressed:
-        description += (
-            f"; {row.suppressed.replace('_', ' ')} by {row.suppressed_by}, {row.suppressed_because}"
-        )
+        description += f"; {row.suppressed.replace('_', ' ')} by {row.suppressed_by}, {row.suppressed_reason}"
     history = [_history_row(contents, event) for event in contents.history.get(row.id or 0, ())]
-    proof = [(name, plain_text(value)) for name, value in row.proof.items()]
+    evidence = [(name, plain_text(value)) for name, value in row.evidence.items()]
     return "\n".join(
         [
-            f"<article><h3>{escape(subject)}: {escape(row.kind.replace('_', ' '))}, {row.severity}</h3>",
+            f"<article><h3>{escape(subject)}: {escape(row.kind.replace('_', ' '))}, {row.priority}</h3>",
             f"<p>{escape(row.message)}</p>",
             f"<p class='note'>{escape(description)}.</p>",
             "<ul>",
-            *(f"<li>{escape(sentence)}</li>" for sentence in proof_sentences(row, contents.baselines)),
+            *(f"<li>{escape(sentence)}</li>" for sentence in evidence_sentences(row, contents.baselines)),
             "</ul>",
-            table("Proof, as stored", (), proof),
+            table("Evidence, as stored", (), evidence),
             table("History", ("Hour", "What", "State", "By", "Why"), history, "No event tells of it."),
             "</article>",
         ]

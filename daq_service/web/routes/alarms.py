@@ -7,7 +7,7 @@ from typing import Annotated
 from fastapi import APIRouter, Path, Query
 
 from daq_service.alarms.transitions import transition
-from daq_service.catalogue.rows import AlarmRow, AlarmState, EventRow, Severity
+from daq_service.catalogue.rows import AlarmRow, AlarmState, EventRow, Priority
 from daq_service.commands.kinds import LARGEST_ID
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
@@ -29,7 +29,7 @@ add_listing(
     | {
         "active": (ACTIVE, None),
         "state": (Annotated[AlarmState | None, Query(description="Only this state")], None),
-        "severity": (Annotated[Severity | None, Query(description="Only this severity")], None),
+        "priority": (Annotated[Priority | None, Query(description="Only this priority")], None),
         "kind": (Annotated[str | None, Query(max_length=50, description="Only this kind")], None),
     },
 )

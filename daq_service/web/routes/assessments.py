@@ -1,4 +1,4 @@
-"""`/api/v1/verdicts` and `/api/v1/baselines`: distances, limits, outliers, and their baselines."""
+"""`/api/v1/assessments` and `/api/v1/baselines`: distances, limits, outliers, and their baselines."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from daq_service.web.routes.listing import HOURS, POSITION, PURPOSE, SET_INDEX, 
 from daq_service.web.tables.baselines import published_baselines
 from daq_service.web.tables.quality import assessed_qualities
 
-router = APIRouter(tags=["verdicts"])
+router = APIRouter(tags=["assessments"])
 
 
 def with_quality(
@@ -28,10 +28,10 @@ def with_quality(
 
 add_listing(
     router,
-    "verdicts",
+    "assessments",
     AssessmentRow,
     AssessmentPage,
-    "List verdicts with the quality of the feature that was judged.",
+    "List assessments with the quality of the feature that was judged.",
     POSITION | SET_INDEX | HOURS | PURPOSE,
     with_quality,
 )

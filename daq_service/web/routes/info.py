@@ -33,7 +33,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
     hours = schedule.due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     return JsonAnswer(
         {
-            "name": row.name,
+            **{name: getattr(row, name) for name in ("name", "uuid", "site")},
             "version": distribution_version(),
             "configuration_hash": row.configuration_hash,
             "rig": settings.rig.kind,
@@ -88,7 +88,7 @@ def _named_limits() -> list[dict[str, str]]:
     from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
 
     return [
-        {"name": name, "words": limit.words, "of": limit.of, "unit": limit.unit}
+        {"name": name, "description": limit.words, "of": limit.of, "unit": limit.unit}
         for name, limit in LIMITS.items()
     ]
 

@@ -178,12 +178,12 @@ def _of_positions(context: Context, fresh: Freshness, summaries: dict[str, Lates
     ages = [((name,), None if age_h is None else S_PER_H * age_h) for name, age_h in ages_h.items()]
     yield _gauge("data_age_seconds", "Age of the newest measured set on the test's clock", ages, of_position)
     yield position_gauge(
-        "outlier", "1: the newest judged set is an outlier", value_of("last_verdict", "outlier")
+        "outlier", "1: the newest judged set is an outlier", value_of("last_assessment", "outlier")
     )
     yield position_gauge(
-        "distance_squared", "Mahalanobis squared distance", value_of("last_verdict", "distance_squared")
+        "distance_squared", "Mahalanobis squared distance", value_of("last_assessment", "distance_squared")
     )
-    yield position_gauge("distance_squared_limit", "The limit of an outlier", limit_of_row("last_verdict"))
+    yield position_gauge("distance_squared_limit", "The limit of an outlier", limit_of_row("last_assessment"))
     yield position_gauge("time_of_flight_seconds", "Peak to peak", value_of("last_feature", "tof_pp_s"))
     yield position_gauge("amplitude_ratio", "PSW over ISW", value_of("last_feature", "amplitude_ratio"))
     yield position_gauge("thickness_meters", "Wall by pulse echo", value_of("last_thickness", "thickness_m"))
@@ -217,13 +217,13 @@ def _delay_s(summary: LatestRows) -> float | None:
 def _alarms(active: Iterable[AlarmRow]) -> Metric:
     numbers: dict[tuple[str, ...], int] = {}
     for row in active:
-        labels = (row.kind, row.severity, row.state, row.position or "", row.suppressed or "")
+        labels = (row.kind, row.priority, row.state, row.position or "", row.suppressed or "")
         numbers[labels] = numbers.get(labels, 0) + 1
     return _gauge(
         "alarms_active",
         "Alarms that are not over",
         numbers.items(),
-        ("kind", "severity", "state", "position", "suppressed"),
+        ("kind", "priority", "state", "position", "suppressed"),
     )
 
 

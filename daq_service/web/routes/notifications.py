@@ -31,7 +31,11 @@ def get_notifications(context: ContextOf) -> JsonAnswer:
     service = context.notifications
     receivers = [_receiver(context, queue) for queue in service.queues.values()]
     return JsonAnswer(
-        {"sending": not service.silent_reason, "why_silent": service.silent_reason, "receivers": receivers}
+        {
+            "sending": not service.silent_reason,
+            "not_sending_reason": service.silent_reason,
+            "receivers": receivers,
+        }
     )
 
 
@@ -85,7 +89,7 @@ def test_receiver(
             "receiver": receiver,
             "ok": outcome.ok,
             "status": outcome.status,
-            "told": outcome.description,
+            "result": outcome.description,
             "took_s": time.monotonic() - started_s,
         }
     )
@@ -127,7 +131,7 @@ def _heartbeat(settings: ReceiverSettings, state: State) -> dict[str, object] | 
         {
             "every_s": settings.heartbeat_s,
             "state": state.heartbeat,
-            "told": state.heartbeat_result,
+            "result": state.heartbeat_result,
             "last_utc_ns": state.last_heartbeat_utc_ns,
             "next_utc_ns": state.next_heartbeat_utc_ns,
         },

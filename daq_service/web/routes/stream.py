@@ -28,7 +28,7 @@ TOPICS = (
     "sets",
     "features",
     "thickness",
-    "verdicts",
+    "assessments",
     "alarms",
     "annotations",
     "environment",

@@ -40,7 +40,7 @@ def list_tables() -> JsonAnswer:
     items = [
         {
             "table": name,
-            "told": kind.description,
+            "description": kind.description,
             "columns": [{"name": c.name, "form": c.form, "unit": c.unit} for c in kind.columns],
         }
         for name, kind in TABLES.items()

@@ -6,7 +6,7 @@ from typing import Any
 
 from fastapi import APIRouter
 
-from daq_service.alarms.states import SEVERITIES, retired_positions
+from daq_service.alarms.states import PRIORITIES, retired_positions
 from daq_service.assessment.position_status import data_hour, is_stale, status_of
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import Row
@@ -48,7 +48,7 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
 def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, Any]:
     place = context.settings.positions[name]
     last = fresh.standing_word(stored or LatestRows(position=name, method=place.method))
-    assessment, alarms = last.last_verdict, last.active_alarms
+    assessment, alarms = last.last_assessment, last.active_alarms
     visible_alarms = [row for row in alarms if row.suppressed is None]
     shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]
     data_h = data_hour(last)
@@ -64,12 +64,12 @@ def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | N
         "last_set": _row(fresh, last.last_set),
         "last_feature": _row(fresh, last.last_feature),
         "last_thickness": _row(fresh, last.last_thickness),
-        "last_verdict": None if assessment is None else with_quality(context, fresh, [assessment])[0],
-        "retired_because": retired_positions(alarms).get(name),
+        "last_assessment": None if assessment is None else with_quality(context, fresh, [assessment])[0],
+        "disabled_reason": retired_positions(alarms).get(name),
         "active_alarms": len(visible_alarms),
         "suppressed_alarms": len(alarms) - len(visible_alarms),
         "shelved_until_utc": rfc3339(min(shelves, default=None)),
-        "highest_severity": max((row.severity for row in visible_alarms), key=SEVERITIES.index, default=None),
+        "highest_priority": max((row.priority for row in visible_alarms), key=PRIORITIES.index, default=None),
     }
 
 

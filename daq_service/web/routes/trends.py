@@ -147,7 +147,7 @@ def entry_bytes(fields: Sequence[str]) -> tuple[int, int]:
     return of_set, _BIN_BYTES + words + (3 * _NUMBER_BYTES + 8) * len(numbers)
 
 
-_UNITLESS = frozenset({"outlier", "outlier_paper", "in_baseline", "reason"})
+_UNITLESS = frozenset({"outlier", "outlier_mean_3sd", "in_baseline", "reason"})
 
 
 def measured_columns(
@@ -182,11 +182,11 @@ def read_columns(
 
 _FLAGS = {
     "outlier": ("n_judged", "n_outliers"),
-    "outlier_paper": ("n_judged_paper", "n_outliers_paper"),
+    "outlier_mean_3sd": ("n_judged_paper", "n_outliers_mean_3sd"),
     "in_baseline": ("n_sets", "n_in_baseline"),
 }
 """Column: number of sets with a value, and number of sets where it is true."""
-_COUNTS = ("n_sets", "n_missed", "n_outliers", "n_outliers_paper", "n_alarms")
+_COUNTS = ("n_sets", "n_missed", "n_outliers", "n_outliers_mean_3sd", "n_alarms")
 _SETS_IN_A_BIN = {
     "last_set_index": "last_set",
     "first_outlier_set_index": "first_outlier",

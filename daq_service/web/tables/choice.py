@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from daq_service.alarms.evidence import proof_sentences
+from daq_service.alarms.evidence import evidence_sentences
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.published_columns import PublishedColumn, Purposes, described_columns, with_parts
 from daq_service.catalogue.reader import Filters
@@ -34,7 +34,7 @@ from daq_service.web.tables.quality import assessed_qualities
 PAGE_ROWS = 1000
 ALWAYS = (
     *("id", "set_index", "position", "shot_index", "due_h", "due_utc", "quality"),
-    *("supply_quality", "climate_quality", "raised_h", "raised_utc", "kind", "severity", "state"),
+    *("supply_quality", "climate_quality", "raised_h", "raised_utc", "kind", "priority", "state"),
     *("from_h", "from_utc", "to_h", "to_utc", "withdrawn_utc"),
 )
 """Columns that identify rows and state their quality: these are always exported."""
@@ -68,7 +68,7 @@ TABLES: Mapping[str, TableKind] = {
     "shot_features": TableKind(
         row=FeatureRow, description="Features of single shots", fixed={"scope": "shot"}, unscheduled_set=True
     ),
-    "verdicts": TableKind(
+    "assessments": TableKind(
         row=AssessmentRow,
         description="Squared distances, limits and outliers",
         fixed={},
@@ -77,7 +77,7 @@ TABLES: Mapping[str, TableKind] = {
     "thickness": TableKind(row=ThicknessRow, description="Pulse-echo results", fixed={}),
     "environment": TableKind(row=EnvironmentRow, description="Supply and climate around each set", fixed={}),
     "baselines": TableKind(
-        row=BaselineRow, description="Baselines of every position: life, readiness, limits", fixed={}
+        row=BaselineRow, description="Baselines of every position: lifecycle, quality, limits", fixed={}
     ),
     "alarms": TableKind(row=AlarmRow, description="Alarms with their proofs", fixed={}),
     "annotations": TableKind(
@@ -194,7 +194,7 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
             if kind.row is AlarmRow:
                 baselines = catalogue.baselines_by_id()
                 for row, alarm in zip(rows_json, selected, strict=True):
-                    row["proof_sentences"] = proof_sentences(alarm, baselines)
+                    row["evidence_sentences"] = evidence_sentences(alarm, baselines)
             yield _by_column([with_parts(kind.row, row) for row in rows_json], names)
         if len(rows) < PAGE_ROWS:
             return

@@ -27,12 +27,12 @@ N_SETS = 60
 TABLES = {
     "features": lambda test: test.features(),
     "features?scope=shot&position=B": lambda test: test.features("B", scope="shot"),
-    "verdicts?position=B&from_h=5&to_h=20": lambda test: test.assessments("B", from_h=5, to_h=20),
+    "assessments?position=B&from_h=5&to_h=20": lambda test: test.assessments("B", from_h=5, to_h=20),
     "thickness": lambda test: test.thickness(),
     "sets?position=C": lambda test: test.sets("C"),
     "sets?purpose=any&position=C": lambda test: test.sets("C", purpose="any"),
     "features?purpose=confirmation": lambda test: test.features(purpose="confirmation"),
-    "verdicts?purpose=confirmation": lambda test: test.assessments(purpose="confirmation"),
+    "assessments?purpose=confirmation": lambda test: test.assessments(purpose="confirmation"),
     "environment": lambda test: test.environment(),
     "alarms": lambda test: test.alarms(),
     "annotations": lambda test: test.annotations(),
@@ -48,7 +48,7 @@ def filled(tmp_path_factory):
                 folder.add_environment(index)
         folder.add_alarm("B", 55)
         folder.add_confirmation("C", N_SETS - 1)
-        retired = {"retired_by": "ben", "retired_because": "coupled anew", "retired_utc_ns": folder.epoch_ns}
+        retired = {"retired_by": "ben", "retired_reason": "coupled anew", "retired_utc_ns": folder.epoch_ns}
         second = {
             "name": "B-baseline-2",
             "state": "collecting",
@@ -62,7 +62,7 @@ def filled(tmp_path_factory):
         ):
             folder.catalogue.commit_set(SetCommit(baselines=[row]))
         folder.annotate(3.0, to_h=5.5, position="B", text="couplant renewed")
-        folder.add_alarm(None, 50, state="acknowledged", severity="critical", kind="disk_space")
+        folder.add_alarm(None, 50, state="acknowledged", priority="critical", kind="disk_space")
         yield folder
 
 
@@ -91,7 +91,7 @@ def test_folder_service_and_page_agree(resource, of_folder, of_service, service)
     with service.client() as http:
         path, _, query = resource.partition("?")
         page = http.get(f"/api/v1/{path}?limit=1000&{query}").json()
-    items = [with_parts(AssessmentRow, item) if path == "verdicts" else item for item in page["items"]]
+    items = [with_parts(AssessmentRow, item) if path == "assessments" else item for item in page["items"]]
     assert len(here) == len(items) > 0
     for column in here:
         for value, expected in zip(here[column], [item[column] for item in items], strict=True):
@@ -109,7 +109,7 @@ def test_the_baselines_of_a_position_have_their_lifecycle(of_folder, of_service)
     pd.testing.assert_frame_equal(here, there, check_exact=True)
     assert here["name"].tolist() == ["B-baseline-1", "B-baseline-2"]
     assert here["state"].tolist() == ["retired", "collecting"]
-    assert (here["retired_by"][0], here["retired_because"][0]) == ("ben", "coupled anew")
+    assert (here["retired_by"][0], here["retired_reason"][0]) == ("ben", "coupled anew")
     assert here["retired_utc"].tolist() == [pd.Timestamp("2024-01-01T00:00Z"), pd.NaT]
     # Around sets 2 to 47 it was 21.5 degrees, around 400 to 424 nothing was measured.
     assert here["temperature_c"].tolist() == [[21.5, 21.5], None]

@@ -68,7 +68,9 @@ def recorder_quantities(evidence: Evidence) -> Iterator[Quantity]:
     quantity, recorder_starts = partial(Quantity, "Recorder"), starts(evidence)
     n_crashes = sum(before is not None and before.kind not in FAREWELLS for _, before in recorder_starts)
     is_gone = (
-        evidence.recorder.status in ("silent", "absent") and not evidence.is_copy and bool(recorder_starts)
+        evidence.recorder.status in ("not_responding", "not_started")
+        and not evidence.is_copy
+        and bool(recorder_starts)
     )
     yield quantity(
         "span_h",
@@ -192,7 +194,7 @@ def clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
     real = evidence.experiment.clock == "wall"
     quantity = partial(Quantity, "Clock", applies=real)
     steps = [abs(row.payload["step_s"]) for row in evidence.service if row.kind == CLOCK_STEP]
-    doubts = sum(fault.kind == "clock_doubted" for fault in faults(evidence))
+    doubts = sum(fault.kind == "clock_unverified" for fault in faults(evidence))
     ahead = [abs(value) for _, value in kept(evidence, "clock_ahead_s")]
     known = [value for _, value in kept(evidence, "clock_synchronised")]
     no = NOT_KEPT if real else NO_TIME
@@ -210,7 +212,7 @@ def clock_quantities(evidence: Evidence) -> Iterator[Quantity]:
         "clock_doubts",
         "times that the clock was doubted",
         "1",
-        "alarms clock_doubted",
+        "alarms clock_unverified",
         doubts if real else None,
         NO_TIME,
     )

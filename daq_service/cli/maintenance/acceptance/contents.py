@@ -127,7 +127,7 @@ def _notes(evidence: Evidence) -> list[str]:
     if evidence.recorder.status == "running":
         notes.append("The test is still running: later sets are not included.")
     if evidence.verified is not None:
-        notes += [f"verify, {item.file}: {item.told}" for item in evidence.verified.damage]
+        notes += [f"verify, {item.file}: {item.description}" for item in evidence.verified.damage]
         notes += evidence.verified.notes
     return notes
 

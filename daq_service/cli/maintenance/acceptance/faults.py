@@ -29,10 +29,10 @@ def faults(evidence: Evidence) -> list[Fault]:
     """List the faults in order; an alarm that is active again is a new fault."""
     faults_by_alarm: dict[int, list[Fault]] = {}
     for event in evidence.alarm_events:
-        if event.payload["family"] != "device":
+        if event.payload["alarm_class"] != "diagnostic":
             continue
         alarm_faults = faults_by_alarm.setdefault(event.payload["alarm_id"], [])
-        if event.kind in ("alarm_raised", "alarm_returned"):
+        if event.kind in ("alarm_raised", "alarm_reactivated"):
             alarm = event.payload["kind"], event.payload["message"]
             alarm_faults.append(Fault(kind=alarm[0], message=alarm[1], since_ns=event.utc_ns))
         elif (
@@ -72,11 +72,11 @@ def damage_table(evidence: Evidence) -> Table:
     return Table(
         name="findings",
         title="Alarms of the specimen: what the test found, no fault of it",
-        columns=("kind", "position", "severity", "state", "raised (h)", "words"),
+        columns=("kind", "position", "priority", "state", "raised (h)", "words"),
         rows=[
-            (row.kind, row.position or "", row.severity, row.state, row.raised_h, row.message)
+            (row.kind, row.position or "", row.priority, row.state, row.raised_h, row.message)
             for row in evidence.alarms
-            if row.family == "damage"
+            if row.alarm_class == "damage"
         ],
     )
 
@@ -105,8 +105,8 @@ def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
         "files_found_damaged",
         "files that the recorder found damaged or gone",
         "1",
-        "events data_damaged, each file once",
-        len({row.payload["file"] for row in service if row.kind == "data_damaged"}),
+        "events data_corrupt, each file once",
+        len({row.payload["file"] for row in service if row.kind == "data_corrupt"}),
     )
     read = [reading for reading, _ in kept(evidence, "files_read")]
     ends = [

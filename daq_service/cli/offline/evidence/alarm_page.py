@@ -8,7 +8,7 @@ from html import escape
 from importlib.metadata import version
 from typing import Any
 
-from daq_service.alarms.evidence import proof_sentences
+from daq_service.alarms.evidence import evidence_sentences
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.transitions import transition
 from daq_service.catalogue.rows import values
@@ -36,7 +36,7 @@ def recomputation_text(found: Explained) -> str:
     read = f"{recomputed.n_records} records of {recomputed.n_sets} sets were judged again"
     if found.agrees:
         return (
-            f"{read}, and the same set raises the same alarm: features, baseline, limits and verdicts are "
+            f"{read}, and the same set raises the same alarm: features, baseline, limits and assessments are "
             "what is stored, to the last digit."
         )
     same = any(one.set_index == found.alarm.raised_set_index for one in recomputed.raised)
@@ -57,11 +57,11 @@ def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
         "Does it come out again?": _recomputation_section(found),
         "What to do first": _guidance(alarm.kind),
         "Its history": [_history(found)],
-        "Proof, as stored": [table("", (), _rows(alarm.proof))],
+        "Evidence, as stored": [table("", (), _rows(alarm.evidence))],
     }
     introduction = (
         f"Raised at hour {alarm.raised_h:.2f} ({format_utc(alarm.raised_utc_ns, 0)}) of the test "
-        f"{found.experiment.name}; severity {alarm.severity}, now {alarm.state.replace('_', ' ')}. "
+        f"{found.experiment.name}; priority {alarm.priority}, now {alarm.state.replace('_', ' ')}. "
         f"Explained by solimon {version('solimon')}."
     )
     parts = [
@@ -90,7 +90,7 @@ def facts_of(found: Explained) -> dict[str, Any]:
         "history": [transition(event) for event in found.history],
         "agrees": found.agrees,
         "why_not_recomputed": found.why_not or None,
-        "told": recomputation_text(found),
+        "description": recomputation_text(found),
         "recomputed": None if recomputed is None else _facts_of(recomputed),
     }
 
@@ -104,7 +104,7 @@ def _facts_of(recomputed: Recomputed) -> dict[str, Any]:
         "raised": [asdict(one) for one in recomputed.raised],
         "differences": [asdict(one) for one in recomputed.differences],
         "baseline": None if recomputed.baseline is None else values(recomputed.baseline),
-        "verdicts": [values(row) for row in recomputed.assessments],
+        "assessments": [values(row) for row in recomputed.assessments],
         "measured": [values(row) for row in recomputed.measured],
         "shots_without_psw": [{"set_index": index, "n": n} for index, n in recomputed.silent.items()],
         "pulses": None if pulses is None else asdict(pulses),
@@ -114,7 +114,7 @@ def _facts_of(recomputed: Recomputed) -> dict[str, Any]:
 def _sentences(found: Explained) -> list[str]:
     """Return the evidence in sentences."""
     baseline = None if found.again is None else found.again.baseline
-    return proof_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
+    return evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
 
 
 def _finding_section(found: Explained) -> list[str]:
@@ -182,12 +182,12 @@ def _guidance(kind: str) -> list[str]:
     if (guidance := GUIDANCE.get(kind)) is None:
         return []
     rows = [
-        ("It says", guidance.says),
-        ("It does not say", guidance.does_not_say),
-        ("Whom to call", guidance.call),
+        ("It says", guidance.meaning),
+        ("It does not say", guidance.limitations),
+        ("Whom to call", guidance.contact),
     ]
     return [
-        f"<ol>{''.join(f'<li>{escape(step)}</li>' for step in guidance.look_first)}</ol>",
+        f"<ol>{''.join(f'<li>{escape(step)}</li>' for step in guidance.checks)}</ol>",
         table("", (), rows),
     ]
 

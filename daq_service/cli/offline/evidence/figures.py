@@ -49,7 +49,7 @@ def pictures_of(found: Explained) -> list[Picture]:
         _waves(found, found.again.pulses) if found.again.pulses else None,
         _over_sets(found, found.again),
     ]
-    pictures.append(_contributions(found.alarm.proof.get("contributions") or {}))
+    pictures.append(_contributions(found.alarm.evidence.get("contributions") or {}))
     return [picture for picture in pictures if picture is not None]
 
 
@@ -126,19 +126,19 @@ _STYLES: Sequence[Mapping[str, Any]] = (
 
 def _panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
     """Yield the quantities that the kind of alarm is about: statistics, thickness, or numbers of shots."""
-    proof, rule = found.alarm.proof, found.alarm.proof.get("rule") or {}
-    if found.alarm.kind == "thickness":
+    evidence, rule = found.alarm.evidence, found.alarm.evidence.get("rule") or {}
+    if found.alarm.kind == "thickness_low":
         read = [(row.due_h, getattr(row, "thickness_m", None)) for row in recomputed.measured]
-        yield _panel("wall (mm)", read, {"limit": proof.get("limit_m")}, 1e3)
-    elif found.alarm.kind == "hole":
+        yield _panel("wall (mm)", read, {"limit": evidence.get("limit_m")}, 1e3)
+    elif found.alarm.kind == "no_reflection":
         counted = [(row.due_h, float(recomputed.silent.get(row.set_index, 0))) for row in recomputed.sets]
         yield _panel("shots without reflected wave", counted, {"alarm from here": rule.get("shots")})
-    elif "minimum_valid_shots" in proof:
+    elif "minimum_valid_shots" in evidence:
         counted = [(row.due_h, float(row.n_valid)) for row in recomputed.sets if row.n_planned]
-        yield _panel("valid shots", counted, {"needed": proof["minimum_valid_shots"]})
+        yield _panel("valid shots", counted, {"needed": evidence["minimum_valid_shots"]})
     elif recomputed.baseline is not None:
         limits = limits_by_name(recomputed.baseline)
-        limit_names = (str(proof.get("limit_name")), found.settings.novelty.limit, CHART)
+        limit_names = (str(evidence.get("limit_name")), found.settings.novelty.limit, CHART)
         names = [name for name in dict.fromkeys(limit_names) if name in LIMITS]
         for statistic in dict.fromkeys(LIMITS[name].of for name in names):
             of_it = {name: limits.get(name) for name in names if LIMITS[name].of == statistic}

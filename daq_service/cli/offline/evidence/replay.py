@@ -17,7 +17,7 @@ from daq_service.recording.reassessment.changes import (
 )
 from daq_service.recording.reassessment.replay import Replayed, replayed
 
-PROCESS_EVENTS = ("row", "cause", "outlier", "chart_alarm")
+PROCESS_EVENTS = ("row", "cause", "outlier", "mewma_alarm")
 """Columns that are listed first: the result of a set, before its numbers."""
 
 
@@ -61,7 +61,7 @@ def in_words(found: Replayed) -> Iterable[str]:
             yield f"baseline {row.position}: {row.column} {_short(row.stored)} -> {_short(row.again)}"
     yield from _of_sets(found.differences)
     for position in found.not_assessed:
-        yield position.told
+        yield position.description
     if not (alarms.moved or alarms.come or alarms.go or found.differences):
         yield "nothing changes: every alarm, limit and verdict is what is stored"
 

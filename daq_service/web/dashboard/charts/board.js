@@ -36,7 +36,7 @@ export function gapRanges(gaps) {
   /** @type {any[]} */
   const ranges = [];
   for (const row of gaps) {
-    const label = row.state === "retired" ? "retired" : String(row.cause).startsWith("held") ? "held" : "missed";
+    const label = row.state === "disabled" ? "disabled" : String(row.cause).startsWith("held") ? "held" : "missed";
     const last = ranges.at(-1);
     if (last && last.label === label && last.set_index + 1 === row.set_index)
       Object.assign(last, { to_h: row.due_h, set_index: row.set_index });
@@ -45,7 +45,7 @@ export function gapRanges(gaps) {
         from_h: row.due_h,
         to_h: row.due_h,
         label,
-        tone: label === "retired" ? "alarm" : "warn",
+        tone: label === "disabled" ? "alarm" : "warn",
         set_index: row.set_index,
       });
   }
@@ -203,7 +203,7 @@ export class Board {
     const columns = trends.map((one) => one.columns);
     const { factor, unit, digits } = shownUnit(this.trend(positions[0]).units[field]);
     const { x, rows } = mergeHours(columns.map((one) => one.due_h));
-    const relative = view.relative && !["distance_squared", "chart"].includes(field);
+    const relative = view.relative && !["distance_squared", "mewma_statistic"].includes(field);
     /** @type {Map<string, import("./series.js").Scale>} */
     const scales = new Map();
     const lines = shown.map((position, k) => {
@@ -346,21 +346,21 @@ export class Board {
     const of = positions.length > 1 ? ` of ${positions[0]}` : "";
     lines.push(
       {
-        key: "limit_f",
+        key: "limit_f_predictive",
         label: `predictive F limit${of}`,
         short: "F limit",
         color: "--limit",
         points: false,
-        y: onAxis(columns.limit_f, rows[0]),
+        y: onAxis(columns.limit_f_predictive, rows[0]),
       },
       {
-        key: "limit_paper",
+        key: "limit_mean_3sd",
         label: `paper's mean + 3 SD limit${of}`,
         short: "paper's limit",
         color: "--limit-other",
         points: false,
         dash: [2, 4],
-        y: onAxis(columns.limit_paper, rows[0]),
+        y: onAxis(columns.limit_mean_3sd, rows[0]),
       },
     );
     const rule = limits.decides_by === "k_of_n" ? `alarm at ${limits.k} of ${limits.n}` : "the chart decides";
@@ -375,21 +375,21 @@ export class Board {
       unit,
       digits: 2,
       subtitle: `${at} · ${deciding} · ${rule}`,
-      exported: { fields: ["distance_squared", "limit_f", "limit_paper", "outlier"], ...source },
+      exported: { fields: ["distance_squared", "limit_f_predictive", "limit_mean_3sd", "outlier"], ...source },
       ...context,
     });
   }
 
   /** Draw the control chart, which averages over sets, and its limit. @param {View} view @param {string[]} positions */
   controlChart(view, positions) {
-    const { lines, x, unit } = this.lines(view, positions, "chart", "chart", "chart");
+    const { lines, x, unit } = this.lines(view, positions, "mewma_statistic", "mewma_statistic", "chart");
     const { at, of: source, ...context } = this.context(view, positions);
     const { limits } = this.loader.info;
     const limit = x.map((hour) => baselineAt(this.baselines(positions[0]), hour)?.row.limits?.chart ?? null);
-    const values = this.trend(positions[0]).columns.chart ?? [];
+    const values = this.trend(positions[0]).columns.mewma_statistic ?? [];
     if (limit.some((value) => value !== null) && values.some((/** @type {number | null} */ value) => value !== null))
       lines.push({
-        key: "limit_chart",
+        key: "mewma_limit",
         label: `limit of the chart${positions.length > 1 ? ` of ${positions[0]}` : ""}`,
         short: "limit",
         color: "--limit",
@@ -404,7 +404,7 @@ export class Board {
       unit,
       digits: 2,
       subtitle: `${at} · ${significant(limits.false_alarms_per_sensor_year)} false alarms a sensor and year · ${rule}`,
-      exported: { fields: ["chart"], ...source },
+      exported: { fields: ["mewma_statistic"], ...source },
       ...context,
     });
   }

@@ -1,6 +1,6 @@
 // Label features for readers.
 
-const NOT_MEASURED = new Set(["due_h", "age_h", "limit_f", "limit_paper"]);
+const NOT_MEASURED = new Set(["due_h", "age_h", "limit_f_predictive", "limit_mean_3sd"]);
 /** Labels of features whose names alone are hard to read. @type {Record<string, string>} */
 const LABELS = {
   tof_pp_s: "Time of flight, peak to peak",

@@ -101,7 +101,7 @@ export class RunControl {
   update(info, transducers, recorder) {
     this.info = info;
     const disabled = new Set(
-      transducers.filter(({ retired_because: reason }) => reason !== null).map((one) => one.position),
+      transducers.filter(({ disabled_reason: reason }) => reason !== null).map((one) => one.position),
     );
     const acceptsCommands = recorder !== "finished" && recorder !== "stopped";
     this.root.hidden = !acceptsCommands;

@@ -2,7 +2,7 @@
 
 import { HeartbeatMonitor } from "./heartbeat.js";
 
-const TOPICS = ["sets", "features", "thickness", "verdicts", "alarms", "annotations", "environment", "service"];
+const TOPICS = ["sets", "features", "thickness", "assessments", "alarms", "annotations", "environment", "service"];
 const RETRY_MS = 1000;
 /** Interval of the service's heartbeats, unless it states another. */
 export const HEARTBEAT_S = 15;

@@ -46,7 +46,7 @@ export async function readSetData(position, method, index) {
   const [features, shotFeatures, [assessment], baselines, environment, shots, waveforms] = await Promise.all([
     items(waves ? `/features?${which}&scope=set` : `/thickness?${which}`),
     waves ? items(`/features?${which}&scope=shot&limit=1000`) : [],
-    items(`/verdicts?${which}`),
+    items(`/assessments?${which}`),
     items(`/baselines?position=${position}`),
     items(`/environment?from_h=${set.due_h}&to_h=${set.due_h + 1e-6}`),
     taken ? items(`/sets/${position}/${index}/shots`) : [],

@@ -81,7 +81,7 @@ export function features({ feature, assessment }, units) {
 /** @param {SetData} data @param {any} limits of /info */
 export function distance({ assessment }, limits) {
   if (assessment === null) return section("Distance", el("p", { class: "quiet small", text: "Not judged." }));
-  const { cause_told: diagnosis } = assessment;
+  const { diagnosis_details: diagnosis } = assessment;
   const limit = limitOf(assessment);
   const limitNames = /** @type {Record<string, string>} */ ({
     paper_mean_3sd: "paper's mean + 3 SD",
@@ -106,7 +106,7 @@ export function distance({ assessment }, limits) {
       ],
       ["Verdict", result],
       .../** @type {[string, string][]} */ (
-        assessment.cause
+        assessment.diagnosis
           ? [
               ["Cause", diagnosisText(assessment)],
               ["What is seen", diagnosis.sentence],
@@ -127,10 +127,14 @@ export function distance({ assessment }, limits) {
  */
 function limitTable(assessment, limits) {
   /** @type {Record<string, number | null>} */
-  const values = { ...assessment.statistics, distance_squared: assessment.distance_squared, chart: assessment.chart };
+  const values = {
+    ...assessment.statistics,
+    distance_squared: assessment.distance_squared,
+    mewma_statistic: assessment.mewma_statistic,
+  };
   const rows = limits
     .filter(({ name }) => name in assessment.limits)
-    .map(({ name, words: description, of }) => {
+    .map(({ name, description, of }) => {
       const value = values[of] ?? null;
       const limit = assessment.limits[name];
       return el(

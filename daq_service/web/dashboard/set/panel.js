@@ -5,7 +5,7 @@ import { swatch } from "../charts/legend.js";
 import { button, el, setText } from "../dom.js";
 import { exportMenu, setOffer } from "../export.js";
 import { PLANNED_SETS, duration, fixed, hour, setName, utc } from "../format.js";
-import { SEVERITIES, chip } from "../icons.js";
+import { PRIORITIES, chip } from "../icons.js";
 import { marksOf } from "../pulses.js";
 import { readSetData } from "./data.js";
 import { climate, distance, features, provenance, shots } from "./facts.js";
@@ -271,7 +271,7 @@ export class SolimonSet extends HTMLElement {
     if (set && set.state !== "done")
       chips.push(chip({ label: set.cause ? `${set.state}: ${set.cause}` : set.state, icon: "dash", tone: "warn" }));
     if (feature) chips.push(chip({ ...QUALITY[feature.quality], label: `Quality ${feature.quality}` }));
-    if (assessment?.outlier) chips.push(chip({ ...SEVERITIES.high, label: "Outlier" }));
+    if (assessment?.outlier) chips.push(chip({ ...PRIORITIES.high, label: "Outlier" }));
     if (assessment?.in_baseline) chips.push(chip({ label: "Baseline", icon: "flag", tone: "info" }));
     this.chips.replaceChildren(...chips);
     const focused = /** @type {HTMLElement | null} */ (document.activeElement)?.dataset?.shot;

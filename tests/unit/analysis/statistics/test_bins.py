@@ -17,7 +17,7 @@ def bins(**changed):
         "quality": [0, 1, 0, None, 2, 0],
         "missed": [False, False, False, True, False, False],
         "outlier": [None, False, True, None, None, True],
-        "outlier_paper": [None, False, False, None, None, None],
+        "outlier_mean_3sd": [None, False, False, None, None, None],
         "in_baseline": [True, False, False, False, False, False],
         "n_alarms": [0, 0, 1, 2, 0, 0],
     }
@@ -34,7 +34,7 @@ def test_a_bin_summarizes_its_sets():
     assert (first["n_sets"], first["n_missed"], first["worst_quality"]) == (3, 1, 1)
     assert (last["n_sets"], last["worst_quality"]) == (2, 2)
     assert (first["n_judged"], first["n_outliers"], first["first_outlier"]) == (2, 1, 2)
-    assert (first["n_judged_paper"], first["n_outliers_paper"]) == (2, 0)
+    assert (first["n_judged_paper"], first["n_outliers_mean_3sd"]) == (2, 0)
     assert (last["n_judged"], last["n_outliers"], last["first_outlier"]) == (1, 1, 7)
     assert (first["n_in_baseline"], first["n_alarms"], first["first_alarm"]) == (1, 3, 2)
     assert (last["n_alarms"], last["first_alarm"]) == (0, np.inf)

@@ -235,7 +235,7 @@ def test_the_chart_is_invariant_to_linear_mixtures_of_the_features():
     # The matrix has a condition of 1,000: it costs six of sixteen digits where it is squared.
     assert other.chart == pytest.approx(plain.chart, rel=1e-6, nan_ok=True)
     assert other.onsets == plain.onsets
-    assert other.why_not_guaranteed == plain.why_not_guaranteed
+    assert other.rate_not_verified_reason == plain.rate_not_verified_reason
     assert [one.kind for one in other.named] == [one.kind for one in plain.named]
 
 

@@ -1,7 +1,9 @@
 """State of a set during acquisition: missed records, repetitions, and the reason of a shortfall."""
 
+import pickle
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot
 
@@ -9,10 +11,19 @@ from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import RestrikeRule
 from daq_service.acquisition import taken_set as taken_set_module
 from daq_service.acquisition.take_set import MissedShot
-from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes, n_tried, superseded
+from daq_service.acquisition.taken_set import (
+    TakenSet,
+    analysed,
+    features_of,
+    n_missed,
+    n_restrikes,
+    n_tried,
+    superseded,
+)
 from daq_service.archive import MissedRecord
 from hardware_drivers.errors import BusyError, ConnectionLostError
-from hardware_drivers.measurement import ShotKey
+from hardware_drivers.instruments import Acquired
+from hardware_drivers.measurement import ShotKey, Waveform
 
 GOOD = ShotFeatures(flags=(), valid=True, quality="good")
 CLIPPED = ShotFeatures(flags=("clipped",), valid=False, quality="bad")
@@ -143,3 +154,26 @@ def test_a_stored_set_counts_strikes_misses_and_repetitions():
         name: (n_tried(record, name), n_missed(record, name), n_restrikes(record, name)) for name in "BCD"
     }
     assert counts == {"B": (2, 1, 2), "C": (2, 2, 1), "D": (0, 0, 0)}
+
+
+def test_records_of_a_worker_bring_the_features_that_the_recorder_would_extract(monkeypatch):
+    shots = [make_shot("B", index, index) for index in range(3)]
+    own = [features_of(shot) for shot in shots]
+    acquired = [None, *(Acquired(waveform=shot.waveform) for shot in shots)]
+    missing, *found = pickle.loads(pickle.dumps(analysed(acquired)))
+    monkeypatch.setattr("daq_service.acquisition.taken_set.extract_features", None)
+    assert missing is None
+    assert [features_of(replace(s, waveform=a.waveform)) for s, a in zip(shots, found, strict=True)] == own
+    for shot, one in zip(shots, found, strict=True):
+        np.testing.assert_array_equal(one.waveform.counts, shot.waveform.counts)
+
+
+def test_records_that_cannot_be_analysed_together_come_without_features():
+    short = Waveform(
+        counts=np.zeros(1, np.int16),
+        sample_rate_hz=1e7,
+        pretrigger_samples=0,
+        calibration=make_shot("B", 0, 1).waveform.calibration,
+    )
+    acquired = [Acquired(waveform=short), Acquired(waveform=make_shot("B", 0, 1).waveform)]
+    assert analysed(acquired) == acquired

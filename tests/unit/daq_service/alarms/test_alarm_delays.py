@@ -17,8 +17,8 @@ def condition(present, *, times_limit=None, kind="wall_change"):
     return Condition(
         position="B",
         kind=kind,
-        family="damage",
-        severity="high",
+        alarm_class="damage",
+        priority="high",
         present=present,
         times_limit=times_limit,
         message="3 of 5",
@@ -75,7 +75,7 @@ def test_a_condition_is_gone_for_the_off_delay_before_the_alarm_returns():
 def test_an_alarm_that_is_active_again_waits_for_its_on_delay():
     alarm = Alarm(on_delay_s=60.0).update(0, True).update(60, True).update(70, False).update(80, True)
     assert (alarm.row.state, alarm.since_ns) == ("returned_unacknowledged", 80 * NS_PER_S)
-    assert alarm.update(140, True).events[-1] == (140, "alarm_returned")
+    assert alarm.update(140, True).events[-1] == (140, "alarm_reactivated")
 
 
 def test_a_quantity_in_the_deadband_or_unknown_is_not_normal():

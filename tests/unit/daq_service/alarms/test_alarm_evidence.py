@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 from support.filled_folder import frozen_baseline
 
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.alarms.evidence import FEATURES, evidence, proof_sentences
+from daq_service.alarms.evidence import FEATURES, describe_evidence, evidence_sentences
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.catalogue.rows import AlarmRow
 
@@ -24,7 +24,7 @@ PROOFS: dict[str, dict[str, Any]] = {
         "contributions": {"tof_pp_s": 24.3, "amplitude_ratio": 38.88, "tof_ac_s": -14.58, "other": None},
         "extractor_version": "3",
     },
-    "thickness": {
+    "thickness_low": {
         "rule": {"k": 3, "n": 5},
         "set_index": 40,
         "thickness_m": 5.6e-3,
@@ -36,12 +36,12 @@ PROOFS: dict[str, dict[str, Any]] = {
         "delay_s": 8e-6,
         "extractor_version": "1",
     },
-    "hole": {"rule": {"shots": 7, "consecutive_sets": 2}, "set_index": 12, "shots_without_psw": 9},
-    "no_data": {"set_index": 8, "poor_sets_running": 2, "minimum_valid_shots": 7},
-    "retired": {"command_id": 5},
-    "rig_unavailable": {"set_index": 3, "error": "ConnectionLostError"},
-    "data_damaged": {"set_aside": ["a.h5", "b.h5"], "damaged": {"c.h5": "is gone"}},
-    "supply_limit": {
+    "no_reflection": {"rule": {"shots": 7, "consecutive_sets": 2}, "set_index": 12, "shots_without_psw": 9},
+    "few_valid_shots": {"set_index": 8, "consecutive_poor_sets": 2, "minimum_valid_shots": 7},
+    "transducer_disabled": {"command_id": 5},
+    "instruments_unavailable": {"set_index": 3, "error": "ConnectionLostError"},
+    "data_corrupt": {"set_aside": ["a.h5", "b.h5"], "damaged": {"c.h5": "is gone"}},
+    "supply_current_limit": {
         "supply_state": "on",
         "supply_quality": "good",
         "supply_age_s": 0.4,
@@ -59,19 +59,19 @@ PROOFS: dict[str, dict[str, Any]] = {
 
 CHART: dict[str, Any] = {
     "set_index": 60,
-    "chart": 118.0,
+    "mewma_statistic": 118.0,
     "limit": 59.0,
     "limit_name": "chart",
     "distance_squared": 30.0,
     "rule": {"false_alarms_per_sensor_year": 0.2},
     "contributions": {"amplitude_ratio": 59.0, "tof_pp_s": 59.0},
-    "rate_guaranteed": False,
-    "why_not_guaranteed": "48 sets cannot show slow memory",
+    "rate_verified": False,
+    "rate_not_verified_reason": "48 sets cannot show slow memory",
 }
 
 
 def test_the_evidence_of_a_chart_has_the_duration_and_the_design_rate() -> None:
-    assert evidence("wall_change", CHART) == [
+    assert describe_evidence("wall_change", CHART) == [
         (
             "With set 60 the chart stands at 118, 2 times its limit of 59; it averages over sets, so the "
             "change has lasted."
@@ -81,8 +81,8 @@ def test_the_evidence_of_a_chart_has_the_duration_and_the_design_rate() -> None:
         "That rate is not promised here: 48 sets cannot show slow memory.",
         "The set alone has a squared distance of 30 from the baseline (equation 16).",
     ]
-    promised = {**CHART, "why_not_guaranteed": None, "rate_guaranteed": True}
-    assert not any("not promised" in sentence for sentence in evidence("wall_change", promised))
+    promised = {**CHART, "rate_not_verified_reason": None, "rate_verified": True}
+    assert not any("not promised" in sentence for sentence in describe_evidence("wall_change", promised))
 
 
 MOST_LISTED: dict[str, str] = {
@@ -92,21 +92,21 @@ MOST_LISTED: dict[str, str] = {
         The distance counts how far the five features lie from the baseline's mean, in units of their own
         scatter there (equation 16); the limit is the predictive F limit for a new set of a healthy wall.
         The alarm takes 3 of the last 5 judged sets beyond the limit.""",
-    "thickness": """
+    "thickness_low": """
         Set 40 reads a wall of 5.600 mm, 0.115 mm (2.0 %) below the limit of 5.715 mm.
         With 95 % confidence the mean under the beam is 5.500 mm to 5.700 mm thick, its roughness is about
         21 µm RMS.
         The echo took 9.900 µs, at the beginning 10.150 µs; less the probe's delay of 8.000 µs of both, the
         wall has thinned in this proportion (equation 17).
         The alarm takes 3 of the last 5 readings beyond the limit.""",
-    "hole": """
+    "no_reflection": """
         Set 12 has 9 shots without a reflected wave.
         The alarm takes 7 such shots in a set, 2 sets running.""",
-    "no_data": "2 sets running, the last one set 8, have fewer than 7 valid shots.",
-    "retired": "A person ordered it (order 5); the message says who and why.",
-    "rig_unavailable": "In set 3 the instruments' driver raised ConnectionLostError.",
-    "data_damaged": "c.h5: is gone. Set aside, damaged and without rows: a.h5, b.h5.",
-    "supply_limit": """
+    "few_valid_shots": "2 sets running, the last one set 8, have fewer than 7 valid shots.",
+    "transducer_disabled": "A person ordered it (order 5); the message says who and why.",
+    "instruments_unavailable": "In set 3 the instruments' driver raised ConnectionLostError.",
+    "data_corrupt": "c.h5: is gone. Set aside, damaged and without rows: a.h5, b.h5.",
+    "supply_current_limit": """
         The supply's newest reading (good, 0 s old) tells its output as on.
         Since the set before, its voltage was 9.50 V in the mean (9.00 to 10.00 V).
         Since the set before, its current was 200.00 mA in the mean (190.00 to 210.00 mA).
@@ -117,39 +117,39 @@ MOST_LISTED: dict[str, str] = {
 
 @pytest.mark.parametrize("kind", MOST_LISTED)
 def test_each_kind_states_its_evidence(kind: str) -> None:
-    assert " ".join(evidence(kind, PROOFS.get(kind, {}))) == " ".join(MOST_LISTED[kind].split())
+    assert " ".join(describe_evidence(kind, PROOFS.get(kind, {}))) == " ".join(MOST_LISTED[kind].split())
 
 
 def alarm(kind: str, set_index: int | None = 49) -> AlarmRow:
     return AlarmRow(
         position=None,
         kind=kind,
-        family="damage",
-        severity="high",
+        alarm_class="damage",
+        priority="high",
         state="unacknowledged",
         raised_utc_ns=0,
         raised_h=24.5,
         raised_set_index=set_index,
         changed_utc_ns=0,
         message="",
-        proof=PROOFS.get(kind, {}),
+        evidence=PROOFS.get(kind, {}),
     )
 
 
 def test_the_last_sentence_has_time_and_version_and_the_baseline_its_name() -> None:
     when = "Raised with set 49 at hour 24.50 of the test; computed by extractor 3."
-    assert proof_sentences(alarm("wall_change"))[-1] == when
+    assert evidence_sentences(alarm("wall_change"))[-1] == when
     of_c, of_d = frozen_baseline("C"), frozen_baseline("D")
-    first, *others = proof_sentences(alarm("wall_change"), {2: of_c, 3: of_d})
+    first, *others = evidence_sentences(alarm("wall_change"), {2: of_c, 3: of_d})
     assert first.startswith("Set 49 lies at a squared distance of 48.6 from C-baseline-1, 2 times")
-    assert others == proof_sentences(alarm("wall_change"))[1:]
-    assert proof_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50 of the test."]
+    assert others == evidence_sentences(alarm("wall_change"))[1:]
+    assert evidence_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50 of the test."]
 
 
 def test_the_evidence_names_a_questionable_baseline_and_its_anomalies() -> None:
     named = [{"kind": "group", "set_indices": [3, 4]}, {"kind": "trend", "set_indices": [0, 1, 2, 3, 4]}]
-    doubtful = frozen_baseline("C", readiness={"named": named})
-    assert proof_sentences(alarm("wall_change"), {2: doubtful})[-2] == (
+    doubtful = frozen_baseline("C", baseline_quality={"named": named})
+    assert evidence_sentences(alarm("wall_change"), {2: doubtful})[-2] == (
         "C-baseline-1, which the set is compared with, is doubtful: sets 3, 4 lie together, away from the "
         "others; a trend over the whole of it."
     )
@@ -157,18 +157,21 @@ def test_the_evidence_names_a_questionable_baseline_and_its_anomalies() -> None:
 
 @pytest.mark.parametrize(("cause", "counts"), [("wall", True), ("coupling", False)])
 def test_a_wall_diagnosis_against_its_confirmation_set_mentions_that_set(cause: str, counts: bool) -> None:
-    confirmation = {"utc_ns": 0, "due_h": 25.5, "confirms": False, "why_not": None}
-    last = evidence("wall_change", {"cause": cause, "confirmation": confirmation})[-1]
+    confirmation = {"utc_ns": 0, "due_h": 25.5, "confirms": False, "reason": None}
+    last = describe_evidence("wall_change", {"diagnosis": cause, "confirmation": confirmation})[-1]
     assert ("counts that set" in last) is counts
 
 
 @given(st.sampled_from(sorted(GUIDANCE)), st.data())
 def test_evidence_without_a_value_has_no_sentence_about_it(kind: str, data: st.DataObject) -> None:
-    complete = PROOFS.get(kind, PROOFS["supply_limit"])
+    complete = PROOFS.get(kind, PROOFS["supply_current_limit"])
     kept = data.draw(st.sets(st.sampled_from(sorted(complete))))
-    sentences = evidence(kind, {name: complete[name] for name in kept})
-    assert evidence(kind, {name: complete[name] if name in kept else None for name in complete}) == sentences
-    assert len(sentences) <= len(evidence(kind, complete))
+    sentences = describe_evidence(kind, {name: complete[name] for name in kept})
+    assert (
+        describe_evidence(kind, {name: complete[name] if name in kept else None for name in complete})
+        == sentences
+    )
+    assert len(sentences) <= len(describe_evidence(kind, complete))
     assert "None" not in "".join(sentences)
 
 

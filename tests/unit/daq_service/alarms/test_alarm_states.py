@@ -20,8 +20,8 @@ def condition(present: bool, **values: Any) -> Condition:
     defaults = {
         "position": "B",
         "kind": "wall_change",
-        "family": "damage",
-        "severity": "high",
+        "alarm_class": "damage",
+        "priority": "high",
         "message": "3 of 5",
     }
     return Condition(present=present, **{**defaults, **values})
@@ -38,12 +38,12 @@ def raised(**values: Any) -> AlarmRow:
 
 
 def test_a_condition_raises_an_unacknowledged_alarm() -> None:
-    change = update(None, condition(True, proof={"limit": 24.3}), moment(3))
+    change = update(None, condition(True, evidence={"limit": 24.3}), moment(3))
     assert change is not None
     assert change.event_kind == "alarm_raised"
     assert change.row.state == "unacknowledged"
     assert (change.row.raised_h, change.row.raised_set_index) == (1.5, 3)
-    assert change.row.proof == {"limit": 24.3}
+    assert change.row.evidence == {"limit": 24.3}
 
 
 def test_no_condition_and_no_alarm_is_no_change() -> None:
@@ -80,27 +80,27 @@ def test_a_condition_that_is_active_again_needs_a_new_acknowledgement() -> None:
     assert cleared is not None
     again = update(cleared.row, condition(True), moment(2))
     assert again is not None
-    assert (again.row.state, again.event_kind) == ("unacknowledged", "alarm_returned")
+    assert (again.row.state, again.event_kind) == ("unacknowledged", "alarm_reactivated")
 
 
 def test_a_reactivated_alarm_has_the_present_message() -> None:
-    cleared = update(raised(proof={"limit": 24.3}, severity="medium"), condition(False), moment(4))
+    cleared = update(raised(evidence={"limit": 24.3}, priority="medium"), condition(False), moment(4))
     assert cleared is not None
-    back = condition(True, message="WALL (99 %)", known="wall", proof={"limit": 25.0})
+    back = condition(True, message="WALL (99 %)", known="wall", evidence={"limit": 25.0})
     again = update(cleared.row, back, moment(5))
     assert again is not None
-    assert (again.row.message, again.row.severity) == ("WALL (99 %)", "high")
-    assert again.row.proof == {"limit": 25.0, "known": "wall"}
+    assert (again.row.message, again.row.priority) == ("WALL (99 %)", "high")
+    assert again.row.evidence == {"limit": 25.0, "known": "wall"}
 
 
 @pytest.mark.parametrize("state", ["unacknowledged", "acknowledged"])
 def test_an_active_alarm_reports_its_diagnosis_once(state: AlarmState) -> None:
-    row = replace(raised(proof={"cause": "cannot tell"}), state=state, suppressed="shelved")
-    named = condition(True, message="WALL (99 %)", known="wall", proof={"cause": "wall"})
+    row = replace(raised(evidence={"diagnosis": "undetermined"}), state=state, suppressed="shelved")
+    named = condition(True, message="WALL (99 %)", known="wall", evidence={"diagnosis": "wall"})
     change = update(row, named, moment(9))
     assert change is not None
-    assert (change.event_kind, change.row.state) == ("alarm_worsened", "unacknowledged")
-    assert (change.row.message, change.row.proof["cause"]) == ("WALL (99 %)", "wall")
+    assert (change.event_kind, change.row.state) == ("alarm_priority_raised", "unacknowledged")
+    assert (change.row.message, change.row.evidence["diagnosis"]) == ("WALL (99 %)", "wall")
     assert change.row.suppressed is None, "it was shelved for what was known then"
     # No second event, also if the diagnosis is undetermined for a while.
     for later in (named, condition(True), named):
@@ -116,15 +116,18 @@ def test_a_closed_alarm_stays_in_the_history() -> None:
 
 
 def test_a_hole_alarm_is_latched() -> None:
-    assert update(raised(kind="hole"), condition(False, kind="hole", latched=True), moment(1)) is None
+    assert (
+        update(raised(kind="no_reflection"), condition(False, kind="no_reflection", latched=True), moment(1))
+        is None
+    )
 
 
 def test_a_priority_only_rises_and_needs_a_new_acknowledgement() -> None:
     seen = acknowledge(raised(), "ann", "", moment(1)).row
-    assert update(seen, condition(True, severity="low"), moment(2)) is None
-    worse = update(seen, condition(True, severity="critical"), moment(2))
+    assert update(seen, condition(True, priority="low"), moment(2)) is None
+    worse = update(seen, condition(True, priority="critical"), moment(2))
     assert worse is not None
-    assert (worse.row.severity, worse.row.state) == ("critical", "unacknowledged")
+    assert (worse.row.priority, worse.row.state) == ("critical", "unacknowledged")
 
 
 def test_a_second_acknowledgement_is_rejected() -> None:
@@ -134,19 +137,19 @@ def test_a_second_acknowledgement_is_rejected() -> None:
 
 
 def test_a_reset_ends_a_latched_alarm_and_stores_its_author() -> None:
-    change = reset(raised(kind="hole"), "ann", "contact put right", moment(6))
+    change = reset(raised(kind="no_reflection"), "ann", "contact put right", moment(6))
     assert change.event_kind == "alarm_reset"
     row = change.row
     assert (row.id, row.state, row.cleared_utc_ns) == (7, "normal", moment(6).utc_ns)
     assert (row.acknowledged_by, row.acknowledged_utc_ns) == ("ann", moment(6).utc_ns)
     assert row.note == "contact put right"
-    again = update(row, condition(True, kind="hole", latched=True), moment(7))
+    again = update(row, condition(True, kind="no_reflection", latched=True), moment(7))
     assert again is not None
     assert (again.event_kind, again.row.id) == ("alarm_raised", None)
 
 
 def test_a_reset_keeps_the_acknowledging_author_and_an_old_note() -> None:
-    seen = acknowledge(raised(kind="hole"), "bob", "looked at it", moment(2)).row
+    seen = acknowledge(raised(kind="no_reflection"), "bob", "looked at it", moment(2)).row
     row = reset(seen, "ann", "", moment(6)).row
     assert (row.acknowledged_by, row.acknowledged_utc_ns) == ("bob", moment(2).utc_ns)
     assert row.note == "looked at it"
@@ -154,7 +157,7 @@ def test_a_reset_keeps_the_acknowledging_author_and_an_old_note() -> None:
 
 
 def test_an_alarm_that_has_ended_cannot_be_reset() -> None:
-    ended = reset(raised(kind="hole"), "ann", "", moment(1)).row
+    ended = reset(raised(kind="no_reflection"), "ann", "", moment(1)).row
     with pytest.raises(ValueError, match="nothing to reset"):
         reset(ended, "ann", "", moment(2))
 
@@ -177,7 +180,7 @@ def active_alarm(position: str | None, kind: str, state: AlarmState = "unacknowl
     return replace(raised(position=position, kind=kind, message=f"{kind} at {position}"), state=state)
 
 
-@pytest.mark.parametrize("kind", ["hole", "retired"])
+@pytest.mark.parametrize("kind", ["no_reflection", "transducer_disabled"])
 @pytest.mark.parametrize("state", ["unacknowledged", "acknowledged", "returned_unacknowledged"])
 def test_an_active_hole_or_disable_alarm_disables_a_transducer(kind: str, state: str) -> None:
     assert retired_positions([active_alarm("B", kind, state)]) == {"B": f"{kind} at B"}
@@ -185,19 +188,22 @@ def test_an_active_hole_or_disable_alarm_disables_a_transducer(kind: str, state:
 
 def test_a_reset_alarm_enables_the_transducer() -> None:
     assert (
-        retired_positions([active_alarm("B", "hole", "normal"), active_alarm("C", "retired", "normal")]) == {}
+        retired_positions(
+            [active_alarm("B", "no_reflection", "normal"), active_alarm("C", "transducer_disabled", "normal")]
+        )
+        == {}
     )
 
 
 def test_one_of_two_active_alarms_is_enough() -> None:
-    rows = (active_alarm("B", "hole", "normal"), active_alarm("B", "retired"))
-    assert retired_positions(rows) == {"B": "retired at B"}
+    rows = (active_alarm("B", "no_reflection", "normal"), active_alarm("B", "transducer_disabled"))
+    assert retired_positions(rows) == {"B": "transducer_disabled at B"}
 
 
 def test_other_alarms_and_service_alarms_disable_no_transducer() -> None:
     rows = (
         active_alarm("B", "wall_change"),
-        active_alarm("C", "no_data"),
-        active_alarm(None, "rig_unavailable"),
+        active_alarm("C", "few_valid_shots"),
+        active_alarm(None, "instruments_unavailable"),
     )
     assert retired_positions(rows) == {}

@@ -5,11 +5,11 @@ from pathlib import Path
 
 import pytest
 
-from daq_service.alarms.clock_trouble import CLOCK_DOUBTED
+from daq_service.alarms.clock_trouble import CLOCK_UNVERIFIED
 from daq_service.alarms.guidance import GUIDANCE, as_markdown
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING
 from daq_service.alarms.states import NOT_ASSESSED
-from daq_service.corrosion_drive.watch import SEVERITIES
+from daq_service.corrosion_drive.watch import PRIORITIES
 
 ROOT = Path(__file__).parents[4]
 HOW_TO = ROOT / "docs" / "how-to" / "my-alarm-what-now.md"
@@ -21,14 +21,14 @@ def test_the_how_to_shows_the_table() -> None:
 
 
 def test_every_raised_kind_has_guidance() -> None:
-    kinds = {CLOCK_DOUBTED, NOT_ASSESSED, RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING}
+    kinds = {CLOCK_UNVERIFIED, NOT_ASSESSED, RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING}
     for room in RAISED_IN:
         for file in (ROOT / "daq_service" / room).glob("*.py"):
             for condition in re.findall(
                 r"Condition\((.*?)present=", file.read_text("utf-8"), flags=re.DOTALL
             ):
                 kinds |= set(re.findall(r'kind="(\w+)"', condition))
-    kinds |= SEVERITIES.keys()
+    kinds |= PRIORITIES.keys()
     assert len(kinds) > 8
     assert kinds <= GUIDANCE.keys()
 
@@ -36,6 +36,6 @@ def test_every_raised_kind_has_guidance() -> None:
 @pytest.mark.parametrize("kind", GUIDANCE)
 def test_each_guidance_has_checks_and_a_contact(kind: str) -> None:
     one = GUIDANCE[kind]
-    assert all([one.says, one.does_not_say, one.call])
+    assert all([one.meaning, one.limitations, one.contact])
     assert one.short.endswith(".")
-    assert len(one.look_first) == 3
+    assert len(one.checks) == 3

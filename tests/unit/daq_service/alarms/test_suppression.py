@@ -28,8 +28,8 @@ def at(hour: float) -> Moment:
 def condition(**values: object) -> Condition:
     usual = {
         "kind": "wall_change",
-        "family": "damage",
-        "severity": "medium",
+        "alarm_class": "damage",
+        "priority": "medium",
         "present": True,
         "message": "why",
     }
@@ -51,7 +51,7 @@ def shelved(for_h: float = 8.0) -> AlarmRow:
 def test_a_shelved_alarm_keeps_its_state_and_has_author_reason_and_end() -> None:
     row = shelved()
     assert (row.state, row.suppressed) == ("unacknowledged", "shelved")
-    assert (row.suppressed_by, row.suppressed_because) == ("ann", "a known leak")
+    assert (row.suppressed_by, row.suppressed_reason) == ("ann", "a known leak")
     assert row.shelved_until_utc_ns == 10 * NS_PER_H
     assert row.shelved_until_wall_utc_ns == WALL_NS + 8 * NS_PER_H
 
@@ -84,14 +84,14 @@ def test_a_shelf_also_holds_the_next_alarm_of_its_kind() -> None:
 
 
 def test_a_raised_priority_ends_a_shelf_but_not_out_of_service() -> None:
-    worse = condition(severity="high")
+    worse = condition(priority="high")
     change = update(shelved(), worse, at(3.0))
     assert change is not None
-    assert (change.row.severity, change.row.suppressed) == ("high", None)
+    assert (change.row.priority, change.row.suppressed) == ("high", None)
     out = take_out_of_service(raised(), "ann", "sensor is being repaired", at(2.0)).row
     change = update(out, worse, at(3.0))
     assert change is not None
-    assert (change.row.severity, change.row.suppressed) == ("high", "out_of_service")
+    assert (change.row.priority, change.row.suppressed) == ("high", "out_of_service")
 
 
 def test_out_of_service_is_ended_only_by_a_person() -> None:
@@ -100,7 +100,7 @@ def test_out_of_service_is_ended_only_by_a_person() -> None:
     assert without_expired_shelf(out, utc_ns=10**19, wall_utc_ns=10**19) is out
     back = end_suppression(out, "out_of_service", "cai", "new cable", at(4.0))
     assert (back.event_kind, back.row.suppressed) == ("alarm_in_service", None)
-    assert (back.row.suppressed_by, back.row.suppressed_because) == ("cai", "new cable")
+    assert (back.row.suppressed_by, back.row.suppressed_reason) == ("cai", "new cable")
 
 
 def test_an_invalid_suppression_is_rejected_with_its_reason() -> None:

@@ -14,7 +14,7 @@ from daq_service.archive.waterfall.cells import (
     coarsen,
     frame_of,
     merge_planes,
-    planes_of_record,
+    planes_of_records,
 )
 from hardware_drivers.measurement import Waveform
 
@@ -40,14 +40,14 @@ def test_each_sample_is_in_the_cell_of_its_time(alignment, width, anchor_s):
     whole = frame_of(waveform, alignment)
     frame = whole.part(None, None, width)
     expected = by_definition(waveform, anchor_s, frame)
-    np.testing.assert_array_equal(planes_of_record(waveform, anchor_s, frame), expected)
+    np.testing.assert_array_equal(planes_of_records([(waveform, anchor_s)], frame), expected)
 
 
 def test_a_frame_covers_the_whole_record_in_few_cells():
     waveform = Scene().waveform()
     frame = frame_of(waveform, "trigger")
     assert (frame.width, frame.n_cells <= 1024) == (16, True)
-    planes = planes_of_record(waveform, 0.0, frame)
+    planes = planes_of_records([(waveform, 0.0)], frame)
     assert np.isfinite(planes).all()
     assert planes[0].min() == np.float32(waveform.volts().min())
     assert frame.first_s <= -waveform.pretrigger_samples / waveform.sample_rate_hz
@@ -62,9 +62,9 @@ def test_records_shifted_by_fractions_of_a_sample_are_aligned():
     peaks, at_trigger = [], []
     for k in range(64):
         moved = scene.with_(isw_time_s=50e-6 + k * 0.37e-7)
-        row = planes_of_record(moved.waveform(), moved.isw_time_s, frame)
+        row = planes_of_records([(moved.waveform(), moved.isw_time_s)], frame)
         peaks.append(int(np.nanargmax(row[1])) + frame.first)
-        unmoved = planes_of_record(moved.waveform(), 0.0, frame)
+        unmoved = planes_of_records([(moved.waveform(), 0.0)], frame)
         at_trigger.append(int(np.nanargmax(unmoved[1])) + frame.first)
     # A maximum between two samples appears at one of them, with a quantized flat top at a neighbor.
     assert max(peaks) - min(peaks) <= 3
@@ -75,9 +75,9 @@ def test_whole_samples_are_shifted_exactly():
     scene = Scene(noise_fraction=0.01)
     waveform = scene.waveform()
     frame = frame_of(waveform, "first")
-    row = planes_of_record(waveform, 50e-6, frame)
+    row = planes_of_records([(waveform, 50e-6)], frame)
     # As many cells later, to the last bit: 160 samples are 10 cells of 16.
-    later = planes_of_record(waveform, 50e-6 - 160 / waveform.sample_rate_hz, frame)
+    later = planes_of_records([(waveform, 50e-6 - 160 / waveform.sample_rate_hz)], frame)
     np.testing.assert_array_equal(later[:, 10:], row[:, :-10])
 
 
@@ -88,7 +88,7 @@ def test_a_single_sample_survives_at_every_width():
     spiked = replace(waveform, counts=counts)
     spike = np.float32(spiked.volts()[7_777])
     frame = frame_of(waveform, "trigger")
-    row = merge_planes([planes_of_record(item, 0.0, frame) for item in (waveform, spiked, waveform)])
+    row = merge_planes([planes_of_records([(item, 0.0)], frame) for item in (waveform, spiked, waveform)])
     for width in (16, 32, 64, 256, 1024, 16_384):
         part = frame.part(None, None, width)
         its = coarsen(row, frame, part)
@@ -100,15 +100,18 @@ def test_a_single_sample_survives_at_every_width():
 def test_coarser_cells_are_those_of_the_record(span):
     waveform = make_shot("B", 0, 3).waveform
     finest = frame_of(waveform, "first").part(None, None, 1)
-    row = planes_of_record(waveform, 2.34e-6, finest)
+    row = planes_of_records([(waveform, 2.34e-6)], finest)
     for width in (1, 2, 8, 128):
         part = finest.part(*span, width)
-        np.testing.assert_array_equal(coarsen(row, finest, part), planes_of_record(waveform, 2.34e-6, part))
+        np.testing.assert_array_equal(
+            coarsen(row, finest, part), planes_of_records([(waveform, 2.34e-6)], part)
+        )
 
 
 def test_records_of_another_rate_are_not_placed_and_anchors_are_those_that_were_found():
     frame = frame_of(make_shot("B", 0, 1).waveform, "trigger")
-    assert planes_of_record(make_shot("B", 0, 1, rate_hz=2e7).waveform, 0.0, frame) is None
+    other_rate = make_shot("B", 0, 1, rate_hz=2e7).waveform
+    assert np.isnan(planes_of_records([(other_rate, 0.0)], frame)).all()
     results = {
         "features": {"shot_id": [1, 2], "isw_time_s": [1e-6, math.nan]},
         "set_features": {"isw_time_s": [9.0]},

@@ -10,7 +10,7 @@ from support.archived_sets import make_set, make_shot, other_set
 from support.memory_archive import MemoryArchive
 
 from daq_service.archive import PositionRecord
-from daq_service.archive.waterfall.cells import anchors_of, frame_of, planes_of_record
+from daq_service.archive.waterfall.cells import anchors_of, frame_of, planes_of_records
 from daq_service.archive.waterfall.image import SETS_AT_ONCE, Wanted, WaterfallReader
 from daq_service.archive.waterfall.tile_files import tiles_of, write_tiles_of_set
 from daq_service.archive.waterfall.tiles import LEVELS, TILES_FOLDER, n_bytes
@@ -78,7 +78,7 @@ class Stored:
                 anchor = 0.0 if tiles.alignment == "trigger" else self._anchors[index][shot.sequence]
                 # In cells of one sample, whose extremes are taken afterwards.
                 finest = tiles.frame.part(None, None, 1)
-                row = planes_of_record(shot.waveform, anchor, finest)
+                row = planes_of_records([(shot.waveform, anchor)], finest)
                 rows.setdefault(index // row_sets, []).append(coarsest(row, finest, frame))
         return [
             np.stack([np.fmin.reduce([r[0] for r in its]), np.fmax.reduce([r[1] for r in its])])

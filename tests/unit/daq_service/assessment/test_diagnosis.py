@@ -10,7 +10,7 @@ from analysis.diagnosis.diagnose import UNDETERMINED
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
 from analysis.statistics.rules import AlarmRule, HoleRule
-from daq_service.alarms.evidence import evidence
+from daq_service.alarms.evidence import describe_evidence
 from daq_service.assessment import solitary_wave_step
 from daq_service.assessment.diagnosis import (
     Origin,
@@ -88,9 +88,9 @@ def row_of(assessment):
         limit_name="f_predictive",
         limits={"f_predictive": 30.0},
         outlier=assessment.outlier,
-        cause=assessment.cause.cause,
-        cause_probability=assessment.cause.probability,
-        cause_told=diagnosis_details(assessment.cause),
+        diagnosis=assessment.cause.cause,
+        diagnosis_probability=assessment.cause.probability,
+        diagnosis_details=diagnosis_details(assessment.cause),
     )
 
 
@@ -105,7 +105,7 @@ def test_the_alarm_has_the_kind_and_name_of_the_diagnosis(cause, raised):
     for item in found:
         if item.present:
             assert f"{cause.upper()} (" in item.message
-            assert any("What to do:" in sentence for sentence in evidence(item.kind, item.proof))
+            assert any("What to do:" in sentence for sentence in describe_evidence(item.kind, item.evidence))
 
 
 def origins(causes, n=5):
@@ -159,10 +159,10 @@ def test_an_alarm_that_was_active_before_the_set_keeps_its_kind(monkeypatch):
 def test_an_undetermined_cause_raises_the_wall_alarm():
     state, assessment = run(CHANGES[SENSOR])
     state = replace(state, origin=Origin())
-    row = replace(row_of(assessment), cause=UNDETERMINED)
+    row = replace(row_of(assessment), diagnosis=UNDETERMINED)
     assert [item.present for item in wall_conditions("B", state, RULES, row)] == [True, False]
     # Without a cause, as in a folder of an earlier version, the message is the old one.
-    row = replace(row, cause=None, cause_probability=None, cause_told=None)
+    row = replace(row, diagnosis=None, diagnosis_probability=None, diagnosis_details=None)
     wall, transducer = wall_conditions("B", state, RULES, row)
     assert (wall.present, transducer.present) == (True, False)
     assert wall.message.endswith("wall or transducer has changed; inspect")
@@ -174,24 +174,27 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     quiet = replace(state.memory, alarming=False)
     healthy, row = replace(state, memory=quiet), row_of(assessment)
     named = replace(healthy, diagnosis_state=replace(state.diagnosis_state, wall=True))
-    wall_row = replace(row, cause=WALL, cause_probability=0.97)
+    wall_row = replace(row, diagnosis=WALL, diagnosis_probability=0.97)
     assert not wall_conditions("B", healthy, chart, row)[0].present
     wall, transducer = wall_conditions("B", named, chart, wall_row)
     assert (wall.present, transducer.present) == (True, False)
     assert wall.message.startswith("the cause of a change at B is named, while the chart stands at")
-    assert wall.proof["raised_by"] == "cause"
+    assert wall.evidence["raised_by"] == "diagnosis"
     assert any(
-        "not the chart that raised the alarm" in sentence for sentence in evidence(wall.kind, wall.proof)
+        "not the chart that raised the alarm" in sentence
+        for sentence in describe_evidence(wall.kind, wall.evidence)
     )
     # An undetermined diagnosis does not reverse it, only a healthy set does.
-    unsure = replace(wall_row, cause=UNDETERMINED)
+    unsure = replace(wall_row, diagnosis=UNDETERMINED)
     assert wall_conditions("B", named, chart, unsure)[0].present
     # If k of n sets decide, nothing else does.
     assert not wall_conditions("B", named, RULES, wall_row)[0].present
     alarming = replace(named, memory=replace(quiet, alarming=True))
     by_chart = wall_conditions("B", alarming, chart, wall_row)[0]
-    assert by_chart.proof["raised_by"] == "chart"
-    assert not any("not the chart" in sentence for sentence in evidence(by_chart.kind, by_chart.proof))
+    assert by_chart.evidence["raised_by"] == "chart"
+    assert not any(
+        "not the chart" in sentence for sentence in describe_evidence(by_chart.kind, by_chart.evidence)
+    )
 
 
 def restarted(state):
@@ -226,7 +229,7 @@ def test_a_confirmation_set_changes_an_abrupt_change_to_coupling_permanently():
     assert alone.cause.cause == UNDETERMINED
     assert "abrupt: inspect the contact" in diagnosis_details(alone.cause)["action"]
     assert diagnosis_text(UNDETERMINED, 0.8, diagnosis_details(alone.cause)).startswith(
-        "CANNOT TELL: something has"
+        "UNDETERMINED: something has"
     )
     design, values = state.baseline.causes, found[struck_after].values
     memory, confirmed = diagnose_confirmation(state.diagnosis_state, design, values)

@@ -50,11 +50,11 @@ def test_a_thinned_wall_is_a_row_with_its_interval_in_the_alarm_s_proof():
     assert row.thickness_m == pytest.approx(4.2e-3, abs=1e-6)
     assert row.quality == "good"
     assert found.shot_flags == {2: ()}
-    proof = found.conditions[0].proof
-    low_m, high_m = proof["interval_m"]
+    evidence = found.conditions[0].evidence
+    low_m, high_m = evidence["interval_m"]
     assert low_m < 4.2e-3 < high_m
     assert high_m - low_m < 0.1e-3
-    assert proof["roughness_rms_m"] < 0.05e-3
+    assert evidence["roughness_rms_m"] < 0.05e-3
 
 
 def test_without_a_back_wall_there_is_a_flag_and_no_thickness():
@@ -67,8 +67,8 @@ def test_without_a_back_wall_there_is_a_flag_and_no_thickness():
     assert (row.travel_time_s, row.thickness_m, row.thickness_loss_m) == (None, None, None)
     assert found.shot_flags == {2: ("no_echo",)}
     assert (found.n_valid, found.invalid) == (0, frozenset({2}))
-    assert found.conditions[0].proof["thickness_m"] is None
-    assert found.conditions[0].proof["interval_m"] is None
+    assert found.conditions[0].evidence["thickness_m"] is None
+    assert found.conditions[0].evidence["interval_m"] is None
 
 
 @pytest.mark.parametrize(

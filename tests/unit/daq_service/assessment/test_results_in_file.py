@@ -2,8 +2,12 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
-from daq_service.assessment.results_in_file import find_differences, results_of
+import pytest
+
+from daq_service.assessment.results_in_file import find_differences, newest_results, results_of
+from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import FeatureRow, ShotRow, ThicknessRow
 
 COMMON = {"set_index": 7, "due_h": 4.0, "extractor_version": "1.1", "quality": "good"}
@@ -53,3 +57,12 @@ def test_a_changed_value_a_missing_row_and_an_extra_row_are_reported():
 def test_another_version_of_the_extractor_is_not_compared():
     other = replace(FEATURE, tof_pp_s=1.0, extractor_version="2")
     assert list(find_differences(results(FEATURE), results(other))) == []
+
+
+def test_the_results_of_the_newest_set_are_those_of_its_commit_without_reading_the_catalogue():
+    newest = SetCommit(shots=[SHOT, ECHO], features=[FEATURE, MEAN], thickness=[WALL])
+    newest.sets.append(SimpleNamespace(set_index=7))
+    catalogue = SimpleNamespace(newest=newest)  # has no rows to read
+    assert list(find_differences(newest_results(catalogue, 7), results(FEATURE, MEAN, WALL))) == []
+    with pytest.raises(AttributeError):
+        newest_results(catalogue, 8)

@@ -10,7 +10,7 @@ from analysis.statistics.limits import f_predictive_limit, paper_limit
 from analysis.statistics.named_limits import LIMITS, NamedLimit
 from analysis.statistics.rules import AlarmRule, HoleRule
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.assessment.baseline_quality import ALIKE, readiness_of
+from daq_service.assessment.baseline_quality import ALIKE, assess_baseline
 from daq_service.assessment.solitary_wave_step import Rules, SetOfShots, State, reinstated, step
 
 LAST = 19
@@ -231,7 +231,7 @@ def test_a_feature_that_is_the_same_in_most_of_a_baseline_stops_no_recorder():
         for item in baseline()
     ]
     state, _ = state_after(stuck)
-    quality = readiness_of(state, RULES)
+    quality = assess_baseline(state, RULES)
     assert (quality["named"], quality["n"]) == ([], LAST + 1)
     assert quality["advice"].endswith(f"; {ALIKE}")
     state, assessment = step(state, set_summary(LAST + 1, shift=1.0), RULES)

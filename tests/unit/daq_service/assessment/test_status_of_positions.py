@@ -24,14 +24,14 @@ ECHO_SET = replace(SET, method="pulse_echo")
 ALARM = AlarmRow(
     position="B",
     kind="wall_change",
-    family="damage",
-    severity="high",
+    alarm_class="damage",
+    priority="high",
     state="acknowledged",
     raised_utc_ns=0,
     raised_h=0.0,
     changed_utc_ns=0,
     message="3 of the last 5 sets at B are outliers",
-    proof={},
+    evidence={},
 )
 SHELVED = replace(ALARM, suppressed="shelved")
 OUT_OF_SERVICE = replace(ALARM, suppressed="out_of_service")
@@ -48,34 +48,34 @@ def assessment_row(outlier):
     [
         (None, None, [], "no_data"),
         # It was enabled after this set: its alarms determine the present status.
-        (replace(SET, state="retired"), assessment_row(False), [], "normal"),
+        (replace(SET, state="disabled"), assessment_row(False), [], "normal"),
         (SET, assessment_row(False), [ALARM], "alarm"),
-        (SET, assessment_row(False), [ALARM, replace(ALARM, kind="hole")], "retired"),
+        (SET, assessment_row(False), [ALARM, replace(ALARM, kind="no_reflection")], "disabled"),
         (SET, assessment_row(True), [], "outlier"),
         (SET, assessment_row(False), [SHELVED], "shelved"),
         (ECHO_SET, None, [SHELVED], "shelved"),
         (SET, assessment_row(True), [SHELVED, OUT_OF_SERVICE], "out_of_service"),
         (SET, assessment_row(False), [OUT_OF_SERVICE, ALARM], "alarm"),
-        (SET, assessment_row(False), [replace(OUT_OF_SERVICE, kind="retired")], "retired"),
-        (SET, assessment_row(None), [replace(SHELVED, kind="not_judged")], "not_judged"),
+        (SET, assessment_row(False), [replace(OUT_OF_SERVICE, kind="transducer_disabled")], "disabled"),
+        (SET, assessment_row(None), [replace(SHELVED, kind="not_assessed")], "not_assessed"),
         (SET, assessment_row(False), [], "normal"),
-        (SET, replace(assessment_row(None), in_baseline=True), [], "learning"),
-        (SET, assessment_row(None), [], "not_judged"),
-        (SET, assessment_row(None), [replace(ALARM, kind="not_judged")], "not_judged"),
+        (SET, replace(assessment_row(None), in_baseline=True), [], "collecting_baseline"),
+        (SET, assessment_row(None), [], "not_assessed"),
+        (SET, assessment_row(None), [replace(ALARM, kind="not_assessed")], "not_assessed"),
         (
             SET,
             assessment_row(None),
-            [replace(ALARM, kind="not_judged"), replace(ALARM, kind="no_data")],
+            [replace(ALARM, kind="not_assessed"), replace(ALARM, kind="few_valid_shots")],
             "alarm",
         ),
-        (SET, None, [], "learning"),
+        (SET, None, [], "collecting_baseline"),
         (ECHO_SET, None, [], "normal"),
     ],
 )
 def test_a_position_has_the_expected_status(last_set, assessment, alarms, status):
     method = SET.method if last_set is None else last_set.method
     last = LatestRows(
-        position="B", method=method, last_set=last_set, last_verdict=assessment, active_alarms=alarms
+        position="B", method=method, last_set=last_set, last_assessment=assessment, active_alarms=alarms
     )
     assert status_of(last) == status
 

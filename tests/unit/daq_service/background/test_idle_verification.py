@@ -164,7 +164,7 @@ class IdleCheckDouble(BackgroundTask):
 
 
 def alarms(line):
-    return [(row.severity, row.state) for row in line.rows("alarms") if row.kind == "data_damaged"]
+    return [(row.priority, row.state) for row in line.rows("alarms") if row.kind == "data_corrupt"]
 
 
 def test_corruption_raises_an_alarm_that_clears_after_the_repair(tmp_path):
@@ -172,9 +172,9 @@ def test_corruption_raises_an_alarm_that_clears_after_the_repair(tmp_path):
     first = IdleCheckDouble({"sets/one.h5": "is missing"})
     line.run(idle_check=first)
     assert (alarms(line), first.known) == ([("high", "unacknowledged")], {})
-    (alarm,) = (row for row in line.rows("alarms") if row.kind == "data_damaged")
+    (alarm,) = (row for row in line.rows("alarms") if row.kind == "data_corrupt")
     assert alarm.message.startswith("sets/one.h5 is missing; solimon verify names all of it")
-    payloads = [row.payload for row in line.rows("events") if row.kind == "data_damaged"]
+    payloads = [row.payload for row in line.rows("events") if row.kind == "data_corrupt"]
     assert payloads == [{"file": "sets/one.h5", "told": "is missing"}]
     assert set(first.free_s) == {-math.inf}, "simulated time has no idle hours"
     second = IdleCheckDouble()

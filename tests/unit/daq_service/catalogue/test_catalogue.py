@@ -161,14 +161,14 @@ def alarm_row(position="B", kind="wall_change", **changes):
         **{
             "position": position,
             "kind": kind,
-            "family": "damage",
-            "severity": "high",
+            "alarm_class": "damage",
+            "priority": "high",
             "state": "unacknowledged",
             "raised_utc_ns": EPOCH_NS,
             "raised_h": 1.0,
             "changed_utc_ns": EPOCH_NS,
             "message": "B has changed",
-            "proof": {"limit": 24.3},
+            "evidence": {"limit": 24.3},
             **changes,
         }
     )
@@ -189,7 +189,7 @@ def baseline_row(name="B-1", position="B"):
         feature_names=["tof_pp_s"],
         mean=np.array([3.3e-4]),
         covariance=np.array([[1e-12]]),
-        limit_f=None,
+        limit_f_predictive=None,
         limit_reason="too short",
         approval="automatic",
         provenance={"sets": [0, 1]},
@@ -595,8 +595,8 @@ def test_alarms_are_listed_by_position_and_state(writer, reader):
             alarms=[
                 alarm_row(state="normal"),
                 alarm_row(),
-                alarm_row("C", "hole"),
-                alarm_row(None, "no_data", family="device"),
+                alarm_row("C", "no_reflection"),
+                alarm_row(None, "few_valid_shots", alarm_class="diagnostic"),
             ]
         )
     )
@@ -712,18 +712,18 @@ def event_commit(kind, **payload):
 
 def test_a_pause_is_in_force_until_it_is_resumed(writer, reader):
     assert reader.held() is None
-    assert reader.last_service_event("hold", "release") is None
+    assert reader.last_service_event("pause", "resume") is None
     for commit, held in (
-        (event_commit("hold", held="held by ann"), "held by ann"),
+        (event_commit("pause", held="held by ann"), "held by ann"),
         (event_commit("recorder_started"), "held by ann"),
-        (event_commit("release", held=""), None),
-        (event_commit("hold", held="held by bob: door"), "held by bob: door"),
+        (event_commit("resume", held=""), None),
+        (event_commit("pause", held="held by bob: door"), "held by bob: door"),
     ):
         writer.commit_set(commit)
         assert reader.held() == held
-    assert reader.last_service_event("recorder_started", "release").kind == "release"
+    assert reader.last_service_event("recorder_started", "resume").kind == "resume"
     # Events of other topics are no service events.
-    writer.commit_set(SetCommit(events=[event_row("release", "sets", payload={"held": ""})]))
+    writer.commit_set(SetCommit(events=[event_row("resume", "sets", payload={"held": ""})]))
     assert reader.held() == "held by bob: door"
 
 
@@ -759,7 +759,7 @@ def test_the_state_of_a_position_has_its_latest_rows(writer, filled):
     assert list(state) == ["A", "B", "C"]
     assert (state["B"].last_set.set_index, state["B"].last_set.state) == (6, "missed")
     assert (state["B"].last_feature.set_index, state["B"].last_feature.shot_index) == (5, None)
-    assert state["C"].last_verdict.set_index == 5
+    assert state["C"].last_assessment.set_index == 5
     assert state["A"].method == "pulse_echo"
     assert state["A"].last_thickness.set_index == 5
     assert (state["A"].last_feature, state["B"].last_thickness) == (None, None)
@@ -776,7 +776,7 @@ def test_counts_separate_complete_missed_and_incomplete_sets(writer, filled):
         )
     )
     # A disabled position is not missed.
-    writer.commit_set(SetCommit(sets=[set_row(8, "A"), set_row(8, "B", "retired", 0), set_row(8, "C")]))
+    writer.commit_set(SetCommit(sets=[set_row(8, "A"), set_row(8, "B", "disabled", 0), set_row(8, "C")]))
     assert filled.counts() == {
         "sets": 8,
         "missed_sets": 1,

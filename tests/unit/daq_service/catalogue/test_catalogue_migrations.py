@@ -1,5 +1,6 @@
 """The migrations make exactly the tables that the code describes."""
 
+import json
 import re
 import sqlite3
 import subprocess
@@ -17,8 +18,19 @@ from sqlalchemy import create_engine, event
 
 import daq_service.catalogue.migrations as migrations
 from daq_service.catalogue import connection, open_catalogue
+from daq_service.catalogue.earlier_names import current_row, derived_uuid
 from daq_service.catalogue.errors import CatalogueError, SchemaVersionError
-from daq_service.catalogue.rows import EnvironmentRow, ShotRow
+from daq_service.catalogue.rows import (
+    AlarmRow,
+    AssessmentRow,
+    BaselineRow,
+    CommandRow,
+    EnvironmentRow,
+    EventRow,
+    SetRow,
+    ShotRow,
+    values,
+)
 from daq_service.catalogue.tables import metadata
 from daq_service.commands.deadline import command_state
 
@@ -163,6 +175,7 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
     with pytest.raises(SchemaVersionError, match="schema 0001"):
         open_catalogue(tmp_path)
     open_catalogue(tmp_path, writer=True).close()
+    before["alarms"] = [(*before["alarms"][0][:2], "no_reflection", *before["alarms"][0][3:])]
     for table, rows in before.items():
         # New columns are at the end.
         assert [row[: len(rows[0])] for row in rows_of(path, table)] == rows, table
@@ -170,6 +183,7 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
     assert rows_of(path, "sets", "n_missed, n_restrikes") == [(0, 0)] * 2
     assert rows_of(path, "shots", "outcome") == [("accepted",)] * 2
     assert rows_of(path, "alembic_version") == [(migrations.SCHEMA_REVISION,)]
+    assert rows_of(path, "experiment", "uuid, site") == [(derived_uuid("ab" * 32, 0), None)]
     with open_catalogue(tmp_path) as catalogue:
         assert catalogue.rows(EnvironmentRow) == []
         # A command from before the update is not executed.
@@ -184,6 +198,173 @@ def test_a_filled_catalogue_of_revision_0001_keeps_its_rows(tmp_path):
     assert {name: columns_and_constraints(sql) for name, sql in migrated.items()} == {
         name: columns_and_constraints(sql) for name, sql in expected.items()
     }
+
+
+PROBABILITIES = {"probabilities": {"wall": 0.97}}
+CONFIRMATION = {"set_index": 10_000_003, "confirms": None, "why_not": "a feature is missing"}
+PROOF = {
+    "cause": "cannot tell",
+    "cause_probability": 0.5,
+    "cause_told": PROBABILITIES,
+    "raised_by": "cause",
+    "chart": 72.0,
+    "limit_name": "chart",
+    "rate_guaranteed": False,
+    "why_not_guaranteed": "48 sets",
+    "poor_sets_running": 2,
+    "confirmation": CONFIRMATION,
+}
+EVIDENCE = {
+    "diagnosis": "undetermined",
+    "diagnosis_probability": 0.5,
+    "diagnosis_details": PROBABILITIES,
+    "raised_by": "diagnosis",
+    "mewma_statistic": 72.0,
+    "limit_name": "chart",
+    "rate_verified": False,
+    "rate_not_verified_reason": "48 sets",
+    "consecutive_poor_sets": 2,
+    "confirmation": {"set_index": 10_000_003, "confirms": None, "reason": "a feature is missing"},
+}
+ALARM_0013 = {
+    "id": 1,
+    "position": "B",
+    "kind": "hole",
+    "family": "device",
+    "severity": "high",
+    "proof": PROOF,
+    "state": "unacknowledged",
+    "raised_utc_ns": 1,
+    "raised_h": 0.5,
+    "raised_set_index": 3,
+    "changed_utc_ns": 2,
+    "message": "m",
+    "suppressed_because": "known",
+}
+"""Values as version 0013 stored them."""
+ALARM = {
+    name: value
+    for name, value in ALARM_0013.items()
+    if name not in ("kind", "family", "severity", "proof", "suppressed_because")
+} | {
+    "kind": "no_reflection",
+    "alarm_class": "diagnostic",
+    "priority": "high",
+    "evidence": EVIDENCE,
+    "suppressed_reason": "known",
+}
+BASELINE_0013 = {
+    "id": 1,
+    "name": "B-baseline-1",
+    "position": "B",
+    "created_utc_ns": 1,
+    "first_set_index": 0,
+    "last_set_index": 1,
+    "n_sets": 2,
+    "feature_names": ["a"],
+    "mean": [1.0],
+    "covariance": [[1.0]],
+    "limit_f": 24.0,
+    "limit_paper": 30.0,
+    "approval": "automatic",
+    "provenance": {},
+    "readiness": {"rate_guaranteed": True, "default_because": ""},
+    "state": "retired",
+    "retired_because": "coupled anew",
+}
+ASSESSMENT_0013 = {
+    "id": 1,
+    "set_index": 3,
+    "position": "B",
+    "due_h": 1.5,
+    "in_baseline": False,
+    "limit_name": "chart",
+    "limit_f": 24.0,
+    "limit_paper": 30.0,
+    "outlier": True,
+    "outlier_paper": False,
+    "chart": 72.0,
+    "chart_alarm": True,
+    "cause": "cannot tell",
+    "cause_probability": 0.5,
+    "cause_told": PROBABILITIES,
+}
+SET_0013 = {
+    "id": 1,
+    "set_index": 3,
+    "position": "B",
+    "method": "solitary_wave",
+    "due_utc_ns": 0,
+    "due_h": 1.5,
+    "state": "retired",
+    "n_planned": 10,
+    "n_taken": 0,
+    "n_valid": 0,
+}
+EVENTS_0013 = [
+    ("sets", "set_retired", SET_0013),
+    ("verdicts", "set_judged", ASSESSMENT_0013),
+    ("verdicts", "baseline_retired", BASELINE_0013),
+    ("alarms", "alarm_returned", ALARM_0013),
+    ("service", "hold", {"held": "by ann", "author": "ann"}),
+    ("service", "confirmation_asked", {"confirmation_set_index": 10_000_003, "because": "x"}),
+]
+
+
+def insert(database, table, **values):
+    stored = [json.dumps(value) if isinstance(value, dict | list) else value for value in values.values()]
+    marks = ", ".join("?" * len(stored))
+    database.execute(f"INSERT INTO {table} ({', '.join(values)}) VALUES ({marks})", stored)
+
+
+def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_path):
+    path = tmp_path / "catalogue.sqlite"
+    upgrade(path, "0013")
+    with closing(sqlite3.connect(path)) as database, database:
+        insert(database, "experiment", id=1, name="t", configuration_hash="ab", configuration={},
+               created_utc_ns=1, epoch_utc_ns=7, clock="wall", solimon_version="0")  # fmt: skip
+        for table, row in (
+            *(("sets", SET_0013), ("baselines", BASELINE_0013), ("verdicts", ASSESSMENT_0013)),
+            ("alarms", ALARM_0013),
+        ):
+            insert(database, table, **row)
+        for number, (topic, kind, payload) in enumerate(EVENTS_0013, start=1):
+            insert(database, "events", id=number, utc_ns=1, wall_utc_ns=2, topic=topic, kind=kind,
+                   payload=payload)  # fmt: skip
+        insert(database, "commands", id=1, wall_utc_ns=1, author="ann", kind="retire", arguments={},
+               state="done")  # fmt: skip
+    open_catalogue(tmp_path, writer=True).close()
+    with open_catalogue(tmp_path) as catalogue:  # which compares every row with its checksum
+        (alarm,) = catalogue.rows(AlarmRow)
+        assert {name: getattr(alarm, name) for name in ALARM} == ALARM
+        (baseline,) = catalogue.rows(BaselineRow)
+        assert (baseline.limit_f_predictive, baseline.limit_mean_3sd) == (24.0, 30.0)
+        assert baseline.baseline_quality == {"rate_verified": True, "default_reason": ""}
+        assert (baseline.state, baseline.retired_reason) == ("retired", "coupled anew")
+        (assessment,) = catalogue.rows(AssessmentRow)
+        assert (assessment.diagnosis, assessment.diagnosis_details) == ("undetermined", PROBABILITIES)
+        assert (assessment.mewma_statistic, assessment.mewma_alarm) == (72.0, True)
+        assert (assessment.outlier, assessment.outlier_mean_3sd) == (True, False)
+        (its_set,) = catalogue.rows(SetRow)
+        assert its_set.state == "disabled"
+        (command,) = catalogue.rows(CommandRow)
+        assert command.kind == "disable"
+        events = catalogue.rows(EventRow)
+        assert [(event.topic, event.kind) for event in events] == [
+            *(("sets", "set_disabled"), ("assessments", "set_assessed"), ("assessments", "baseline_retired")),
+            *(("alarms", "alarm_reactivated"), ("service", "pause"), ("service", "confirmation_asked")),
+        ]
+        assert events[0].payload["state"] == "disabled"
+        assert events[1].payload["diagnosis"] == "undetermined"
+        assert events[2].payload["retired_reason"] == "coupled anew"
+        assert events[2].payload["state"] == "retired"
+        assert events[3].payload == ALARM
+        assert events[5].payload["reason"] == "x"
+        assert catalogue.experiment_row().uuid == derived_uuid("ab", 7)
+        # A line of the history is the same row, and a current row stays as it is.
+        for event, (topic, kind, payload) in zip(events, EVENTS_0013, strict=True):
+            line = {**values(event), "topic": topic, "kind": kind, "payload": payload}
+            assert current_row("events", line) == values(event) == current_row("events", values(event))
 
 
 def test_an_interrupted_migration_leaves_a_filled_catalogue_unchanged(tmp_path):

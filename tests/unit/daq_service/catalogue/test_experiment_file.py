@@ -18,6 +18,7 @@ from daq_service.settings.file import load_settings
 
 def row_of(settings, **changes):
     row = ExperimentRow(
+        uuid="e1b9f7a6-6a0e-4f0e-9d0d-3c1d1f6f0a55",
         name=settings.name,
         configuration_hash=settings.configuration_hash(),
         configuration=settings.model_dump(mode="json"),

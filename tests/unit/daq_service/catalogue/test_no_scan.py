@@ -23,7 +23,7 @@ from daq_service.catalogue.rows import (
 from daq_service.catalogue.tables import events, shots
 
 POSITIONS = {"A": "pulse_echo", "B": "solitary_wave", "C": "solitary_wave"}
-GROWING = ("sets", "shots", "features", "thickness", "environment", "verdicts", "events", "trend_blocks")
+GROWING = ("sets", "shots", "features", "thickness", "environment", "assessments", "events", "trend_blocks")
 
 
 def random_catalogue(folder, seed):
@@ -34,7 +34,7 @@ def random_catalogue(folder, seed):
         commit, due = SetCommit(), {"set_index": index, "due_h": index / 2}
         for position, method in POSITIONS.items():
             own = {**due, "position": position}
-            state = chance.choice(["done", "done", "partial", "missed", "retired"])
+            state = chance.choice(["done", "done", "partial", "missed", "disabled"])
             n_taken = {"done": 2, "partial": 1}.get(state, 0)
             commit.sets.append(
                 SetRow(**own, due_utc_ns=index, ended_utc_ns=index if n_taken else None, method=method,
@@ -59,12 +59,13 @@ def random_catalogue(folder, seed):
                 commit.assessments.append(AssessmentRow(**own, in_baseline=False, limit_name="f_predictive"))
         if chance.random() < 0.3:
             word = {"utc_ns": index, "topic": "service", "payload": {"held": f"by {index}"}}
-            kind = chance.choice(["hold", "release", "recorder_started"])
+            kind = chance.choice(["pause", "resume", "recorder_started"])
             commit.events.append(EventRow(**word, kind=kind))
             commit.alarms.append(
-                AlarmRow(position="B", kind="hole", family="damage", severity="high", raised_utc_ns=0,
+                AlarmRow(position="B", kind="no_reflection", alarm_class="damage", priority="high",
+                         raised_utc_ns=0,
                          state=chance.choice(["normal", "acknowledged", "unacknowledged"]), raised_h=0.0,
-                         changed_utc_ns=0, message="", proof={})
+                         changed_utc_ns=0, message="", evidence={})
             )  # fmt: skip
         if chance.random() < 0.8:
             commit.environment.append(
@@ -136,16 +137,16 @@ def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
             for newest, kind, filters in (
                 (word.last_set, SetRow, {}),
                 (word.last_feature, FeatureRow, {"scope": "set"}),
-                (word.last_verdict, AssessmentRow, {}),
+                (word.last_assessment, AssessmentRow, {}),
                 (word.last_thickness, ThicknessRow, {}),
             ):
                 found = filtered_rows(catalogue.rows(kind), {"position": position, **filters})
                 assert newest == max(found, key=lambda row: row.set_index, default=None)
         assert list(catalogue.positions_state()) == ["A", "B", "C"]
         service_events = [row for row in catalogue.rows(EventRow) if row.topic == "service"]
-        held = [row for row in service_events if row.kind in ("hold", "release")]
+        held = [row for row in service_events if row.kind in ("pause", "resume")]
         assert catalogue.rows(EventRow, topic="service") == service_events
-        assert catalogue.last_service_event("hold", "release") == (held[-1] if held else None)
+        assert catalogue.last_service_event("pause", "resume") == (held[-1] if held else None)
         assert catalogue.last_service_event("recorder_stopped") is None
         assert catalogue.last_ended_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)
         assert catalogue.committed_sets() == {row.set_index for row in rows}

@@ -33,7 +33,7 @@ def random_sets(folder, seed):
     retired = range(200, 240)
     for index in range(N_SETS):
         own = {"position": "B", "set_index": index, "due_h": 0.5 + index / 2}
-        state = "retired" if index in retired else chance.choice(["done"] * 6 + ["missed"])
+        state = "disabled" if index in retired else chance.choice(["done"] * 6 + ["missed"])
         commit, row = SetCommit(), {"state": state, "due_h": own["due_h"], "alarms": 0, "outlier": None}
         commit.sets.append(SetRow(**own, method="solitary_wave", due_utc_ns=index, state=state, n_planned=2))
         if state == "done":
@@ -73,14 +73,15 @@ def random_sets(folder, seed):
 def assessment(own, row, in_baseline):
     return AssessmentRow(
         **own, in_baseline=in_baseline, distance_squared=row["distance_squared"], outlier=row["outlier"],
-        limit_name="f_predictive", limit_f=24.3,
+        limit_name="f_predictive", limit_f_predictive=24.3,
     )  # fmt: skip
 
 
 def alarm(index):
     return AlarmRow(
-        position="B", kind="hole", family="damage", severity="high", state="normal", raised_utc_ns=0,
-        raised_h=0.0, raised_set_index=index, changed_utc_ns=0, message="", proof={},
+        position="B", kind="no_reflection", alarm_class="damage", priority="high", state="normal",
+        raised_utc_ns=0,
+        raised_h=0.0, raised_set_index=index, changed_utc_ns=0, message="", evidence={},
     )  # fmt: skip
 
 
@@ -103,7 +104,7 @@ def test_bins_equal_those_from_all_rows(tmp_path, seed):
             assert 0 < bins.size <= points
             of = {}
             for index, row in rows.items():
-                if row["state"] != "retired" or row["alarms"]:
+                if row["state"] != "disabled" or row["alarms"]:
                     of.setdefault(index // width, {})
                 of.get(index // width, {})[index] = row
             assert [int(first) // width for first in bins["first_set"]] == sorted(of)

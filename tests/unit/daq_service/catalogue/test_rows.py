@@ -63,7 +63,7 @@ def test_a_table_has_the_fields_of_its_row_in_their_order(kind):
         (rows.FeatureRow, "tof_pp_s", Float),
         (rows.AssessmentRow, "outlier", Boolean),
         (rows.AssessmentRow, "contributions", JSON),
-        (rows.AlarmRow, "proof", JSON),
+        (rows.AlarmRow, "evidence", JSON),
     ],
 )
 def test_a_column_is_of_the_type_that_holds_its_values(kind, name, of_type):
@@ -95,7 +95,7 @@ def test_a_response_is_its_row_with_times_as_text_and_an_age(kind):
     if kind is rows.AssessmentRow:
         answer["quality"] = "good"
     if kind is rows.AlarmRow:
-        answer["proof_sentences"] = ["Raised at hour 1.50 of the test."]
+        answer["evidence_sentences"] = ["Raised at hour 1.50 of the test."]
     if kind is rows.CommandRow:
         answer["expires_in_s"] = 1.0
     model = getattr(models, kind.__name__)

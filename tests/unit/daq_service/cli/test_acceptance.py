@@ -126,7 +126,7 @@ def test_shortfalls_and_faults_are_listed_by_kind(faulty):
     assert lacking["missed", "B"][:2] == [1, 4]
     assert numbers(report)["restrikes"] > 0  # and they count nowhere as records that were planned
     [(times, longest_h, together_h, standing, message)] = [
-        values for kind, *values in rows(report, "faults") if kind == "rig_unavailable"
+        values for kind, *values in rows(report, "faults") if kind == "instruments_unavailable"
     ]
     # From the end of set 5 to that of 7, and from 10 to 11: one unacknowledged alarm.
     assert (times, standing) == (2, 0)
@@ -292,7 +292,7 @@ def grown(evidence, values):
 
 
 @pytest.fixture(scope="module")
-def evidence(faulty):
+def describe_evidence(faulty):
     return read_evidence(faulty)
 
 

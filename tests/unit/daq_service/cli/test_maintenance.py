@@ -125,7 +125,7 @@ def test_each_corruption_is_reported_with_exit_code_4(folder):
         "UPDATE sets SET file = NULL WHERE id = 6",
         "DELETE FROM sets WHERE id = 6",
         "DELETE FROM features WHERE set_index = 1 AND position = 'B' AND shot_index = 1",
-        "DELETE FROM verdicts WHERE set_index = 1 AND position = 'B'",
+        "DELETE FROM assessments WHERE set_index = 1 AND position = 'B'",
         "DELETE FROM thickness WHERE set_index = 1",
         "UPDATE experiment SET epoch_utc_ns = epoch_utc_ns + 3600000000000",
     ],
@@ -152,15 +152,16 @@ def test_a_row_that_differs_from_its_file_is_named(folder, sql):
 def test_results_are_compared_with_their_copy_in_the_file(folder, sql, message):
     change(folder, sql)
     assert any(
-        f"set 1, {message}" in item.told or message in item.told for item in verify_folder(folder).damage
+        f"set 1, {message}" in item.description or message in item.description
+        for item in verify_folder(folder).damage
     )
 
 
 def test_missing_rows_before_later_ones_are_reported(folder):
-    for table in ("features", "verdicts", "thickness", "shots", "sets"):
+    for table in ("features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 1")
     assert kinds(folder) == [("file_without_rows", FILES[1], None)]
-    for table in ("features", "verdicts", "thickness", "shots", "sets"):
+    for table in ("features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     report = verify_folder(folder)
     assert (report.damage, report.checked["sets_without_rows"]) == ([], 2), "as a killed recorder leaves them"
@@ -199,7 +200,7 @@ def audit_three(folder):
 
 def notify_three(folder):
     for receiver in ("ann", "ben", "cleo"):
-        DeliveryLog(folder).append(Delivery(receiver=receiver, what="sent", told="a hole at B"))
+        DeliveryLog(folder).append(Delivery(receiver=receiver, what="sent", result="a hole at B"))
 
 
 @pytest.mark.parametrize(
@@ -373,7 +374,7 @@ from daq_service.web.app import create_app
 
 settings, folder = settings_of_folder(None, Path(sys.argv[1]))
 with TestClient(create_app(settings, folder)) as client:
-    for path in ("info", "sets", "features", "verdicts", "waveforms/B/1/1", "transducers/B"):
+    for path in ("info", "sets", "features", "assessments", "waveforms/B/1/1", "transducers/B"):
         assert client.get(f"/api/v1/{path}", headers={"Host": "127.0.0.1"}).status_code == 200, path
 assert verify_folder(folder).damage == []
 print(*(name for name in %r if name in sys.modules))
@@ -439,7 +440,7 @@ def test_repair_restores_a_file_from_the_journal_or_quarantines_it(folder):
     code, answer = solimon("repair", "--apply", "--data-dir", folder)
     assert (code, [step["does"] for step in answer["steps"]]) == (0, ["from_journal"])
     assert (folder / FILES[2]).read_bytes() == content
-    for table in ("features", "verdicts", "thickness", "shots", "sets"):
+    for table in ("features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     segment_path(folder, 1).unlink()
     (folder / FILES[2]).write_bytes(content[:1000])

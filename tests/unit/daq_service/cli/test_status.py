@@ -11,9 +11,8 @@ from support.command_line import solimon_here
 from support.filled_folder import LIMIT_CHART, LIMIT_F, N_BASELINE, FilledFolder, frozen_baseline
 from support.kept_folder import lay_out
 
-from daq_service.archive import FolderSetReader
-from daq_service.catalogue import SetCommit, open_catalogue
-from daq_service.catalogue.rows import SetRow, ThicknessRow
+from daq_service.catalogue import SetCommit
+from daq_service.catalogue.rows import SetRow
 from daq_service.cli.status.command import PIPE_COLUMNS
 from daq_service.cli.status.facts import GAPS_A_POSITION, describe_status
 from daq_service.cli.status.table import picture
@@ -80,8 +79,8 @@ def test_each_result_has_its_limit_quality_and_age(filled: FilledFolder) -> None
     word = facts["positions"]["B"]
     assert word["state"] == "normal"
     assert word["age_h"] == pytest.approx(0.0, abs=1e-9)
-    feature, assessment = word["last_feature"], word["last_verdict"]
-    distance, chart = assessment["distance_squared"], assessment["chart"]
+    feature, assessment = word["last_feature"], word["last_assessment"]
+    distance, chart = assessment["distance_squared"], assessment["mewma_statistic"]
     assert word["chart"] == {"statistic": chart, "limit": LIMIT_CHART}
     waves = f"ToF {1e6 * feature['tof_pp_s']:.1f} us, AR {feature['amplitude_ratio']:.3f}"
     rest = f"good, n = 1  0 s  {SETS - 1} done"
@@ -98,18 +97,19 @@ def test_each_result_has_its_limit_quality_and_age(filled: FilledFolder) -> None
     assert line_of(lines_by_sets, " B") == f" B  normal  D² {distance:.1f}, {waves}  {LIMIT_F}  -  {rest}"
     assert not any(line.startswith("decides") for line in lines_by_sets)
     wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
-    assert line_of(lines, " A").startswith(f" A  normal  {1e3 * wall_m:.2f} mm  5.71 mm  -  good  0 s")
+    reading = f"{1e3 * wall_m:.2f} mm ({1e3 * wall_m - 0.01:.2f} to {1e3 * wall_m + 0.02:.2f})"
+    assert line_of(lines, " A").startswith(f" A  normal  {reading}  5.71 mm  -  good  0 s")
 
 
 def test_a_diagnosis_other_than_ok_has_its_own_line(filled: FilledFolder) -> None:
     facts = describe_status(filled.folder, filled.settings)
     assert not any(line.startswith("verdict") for line in status_lines(facts))
     experiment_text = {"sentence": "the wave has changed", "action": "inspect"}
-    for name, cause, probability in (("B", "wall", 0.97), ("C", "cannot tell", 0.98), ("D", "ok", 0.9)):
-        facts["positions"][name]["last_verdict"] |= {
+    for name, cause, probability in (("B", "wall", 0.97), ("C", "undetermined", 0.98), ("D", "ok", 0.9)):
+        facts["positions"][name]["last_assessment"] |= {
             "cause": cause,
-            "cause_probability": probability,
-            "cause_told": experiment_text,
+            "diagnosis_probability": probability,
+            "diagnosis_details": experiment_text,
         }
     lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("verdict")]
     assert lines == [
@@ -127,7 +127,7 @@ def test_a_distance_of_another_set_is_not_shown_with_these_features(filled: Fill
 
 
 def test_data_that_are_older_than_the_cadence_explains_are_stale(filled: FilledFolder) -> None:
-    filled.say("hold", filled.due[SETS + 2].due_utc_ns, held="held by ann: door open")
+    filled.say("pause", filled.due[SETS + 2].due_utc_ns, held="held by ann: door open")
     lines = status_of(filled)
     assert "  90 min STALE  " in line_of(lines, " B")
     assert line_of(lines, "paused") == "paused  held by ann: door open; nothing strikes until it is resumed"
@@ -138,13 +138,15 @@ def test_data_that_are_older_than_the_cadence_explains_are_stale(filled: FilledF
 
 def test_status_lists_alarms_with_state_and_age(filled: FilledFolder) -> None:
     filled.add_alarm("B", N_BASELINE, message="3 of the last 5 sets")
-    filled.add_alarm("C", SETS - 1, kind="hole", severity="critical", state="acknowledged", message="a hole")
+    filled.add_alarm(
+        "C", SETS - 1, kind="no_reflection", priority="critical", state="acknowledged", message="a hole"
+    )
     lines = status_of(filled)
     assert line_of(lines, "alarms") == "alarms  2"
     assert line_of(lines, " 1") == " 1  high  B  unacknowledged  30 min  wall_change: 3 of the last 5 sets"
-    assert line_of(lines, " 2") == " 2  critical  C  acknowledged  0 s  hole: a hole"
+    assert line_of(lines, " 2") == " 2  critical  C  acknowledged  0 s  no_reflection: a hole"
     assert line_of(lines, " B").startswith(" B  alarm")
-    assert line_of(lines, " C").startswith(" C  retired")
+    assert line_of(lines, " C").startswith(" C  disabled")
     assert line_of(lines, "wall_change: look first: 1 the control position")
     filled.shelve(1, "a known leak", for_h=8.0)
     lines = status_of(filled)
@@ -217,13 +219,19 @@ def test_status_shows_the_result_of_the_last_confirmation_set(filled: FilledFold
 
 
 def test_status_shows_the_quality_of_each_baseline(filled: FilledFolder) -> None:
-    promised = {"false_alarms_per_sensor_year": 0.2, "rate_guaranteed": True, "why_not_guaranteed": None}
-    short = {**promised, "rate_guaranteed": False, "why_not_guaranteed": "48 sets cannot show slow memory"}
+    promised = {"false_alarms_per_sensor_year": 0.2, "rate_verified": True, "rate_not_verified_reason": None}
+    short = {
+        **promised,
+        "rate_verified": False,
+        "rate_not_verified_reason": "48 sets cannot show slow memory",
+    }
     doubtful = promised | {
         "named": [{"kind": "outlier", "set_indices": [6]}, {"kind": "trend", "set_indices": [0, 1, 2]}]
     }
-    for name, readiness in (("B", short), ("C", short), ("D", doubtful)):
-        filled.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name, readiness=readiness)]))
+    for name, baseline_quality in (("B", short), ("C", short), ("D", doubtful)):
+        filled.catalogue.commit_set(
+            SetCommit(baselines=[frozen_baseline(name, baseline_quality=baseline_quality)])
+        )
     facts = describe_status(filled.folder, filled.settings)
     assert facts["positions"]["A"]["baseline"] is None
     baseline_of_b = {"name": "B-baseline-1", "n_sets": N_BASELINE, "state": "approved", "limit_reason": None}
@@ -240,21 +248,23 @@ def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path: Pat
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False, assessed=False)
     reason = "a baseline of 14 sets; it needs 15"
-    nothing = {"limit_f": None, "distance_squared": None, "outlier": None, "reason": reason}
+    nothing = {"limit_f_predictive": None, "distance_squared": None, "outlier": None, "reason": reason}
     filled.catalogue.commit_set(
         SetCommit(
             baselines=[
-                frozen_baseline("D", state="proposed", limit_f=None, limits=None, limit_reason=reason)
+                frozen_baseline(
+                    "D", state="proposed", limit_f_predictive=None, limits=None, limit_reason=reason
+                )
             ],
             assessments=[replace(filled.assessment("D", 0, 0.5), **nothing, limits=None, in_baseline=False)],
         )
     )
     lines = status_of(filled)
-    assert line_of(lines, " D").startswith(" D  not judged  ToF ")
+    assert line_of(lines, " D").startswith(" D  not assessed  ToF ")
     assert "  none  -  good, n = 1  " in line_of(lines, " D")
     assert line_of(lines, "baseline") == f"baseline  D: NOT JUDGED: {reason}"
     page = report_page(tmp_path).decode()
-    assert re.search(rf">not judged</td>\s*<td[^>]*>not judged: {reason}</td>", page)
+    assert re.search(rf">not assessed</td>\s*<td[^>]*>not judged: {reason}</td>", page)
     filled.close()
 
 
@@ -272,21 +282,11 @@ def test_the_wall_thickness_is_shown_with_its_interval(tmp_path: Path) -> None:
     folder = lay_out(tmp_path / "data")
     settings = Settings()
     facts = describe_status(folder, settings)
-    low_m, high_m = facts["positions"]["A"]["thickness_interval_m"]
-    wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
+    reading = facts["positions"]["A"]["last_thickness"]
+    low_m, wall_m, high_m = (reading[name] for name in ("interval_low_m", "thickness_m", "interval_high_m"))
     assert low_m < wall_m < high_m
     row = line_of(status_lines(facts), " A")
     assert f" {1e3 * wall_m:.2f} mm ({1e3 * low_m:.2f} to {1e3 * high_m:.2f})  5.71 mm  -  good" in row
-    with open_catalogue(folder) as catalogue:
-        first, *_, last = catalogue.rows(ThicknessRow, position="A")
-        (its_set,) = catalogue.rows(SetRow, position="A", set_index=last.set_index)
-    assert first.set_index != last.set_index, "the reference is another record"
-    assert its_set.file in FolderSetReader(folder).sets().values()
-    (folder / str(its_set.file)).unlink()
-    facts = describe_status(folder, settings)
-    assert facts["positions"]["A"]["thickness_interval_m"] is None
-    assert f" {1e3 * wall_m:.2f} mm  " in line_of(status_lines(facts), " A")
-    assert its_set.file in facts["lost"]
 
 
 def test_a_position_with_a_partial_set_is_not_listed_as_missed(filled: FilledFolder) -> None:
@@ -326,11 +326,13 @@ def test_a_position_that_collects_its_baseline_has_no_limit_yet(tmp_path: Path) 
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False, assessed=False)
     row = line_of(status_of(filled), " D")
-    assert row.startswith(" D  learning  ToF ")
+    assert row.startswith(" D  collecting baseline  ToF ")
     assert "  none yet  -  good, n = 1  " in row
     filled.catalogue.commit_set(
         SetCommit(
-            assessments=[replace(filled.assessment("D", 0, 0.5), limit_f=None, distance_squared=12_345.0)]
+            assessments=[
+                replace(filled.assessment("D", 0, 0.5), limit_f_predictive=None, distance_squared=12_345.0)
+            ]
         )
     )
     assert " D² 1.2e+04, ToF " in line_of(status_of(filled), " D")

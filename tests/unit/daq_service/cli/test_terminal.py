@@ -13,7 +13,7 @@ from support.waiting import happened
 from daq_service.cli import terminal
 from daq_service.cli.terminal import ProgressReport, duration, open_page, why_no_screen
 
-ALARM = {"change": "alarm_raised", "hour": 12.5, "severity": "high", "message": "hole at C: inspect"}
+ALARM = {"change": "alarm_raised", "hour": 12.5, "priority": "high", "message": "hole at C: inspect"}
 GAP = {"state": "missed", "positions": ["A", "B"], "cause": "held by ann: door open"}
 
 
@@ -65,7 +65,13 @@ def test_each_requested_action_is_one_line(capsys: pytest.CaptureFixture[str]) -
 def test_alarms_are_printed_when_raised_and_when_cleared(capsys: pytest.CaptureFixture[str]) -> None:
     log = Log()
     with log.report:
-        for change in ("alarm_raised", "alarm_worsened", "alarm_returned", "alarm_cleared", "alarm_reset"):
+        for change in (
+            "alarm_raised",
+            "alarm_priority_raised",
+            "alarm_reactivated",
+            "alarm_cleared",
+            "alarm_reset",
+        ):
             log.after(0.0, "alarm", **{**ALARM, "change": change})
     stands = "hour 12.5, ALARM, high: hole at C: inspect"
     assert lines(capsys) == [

@@ -167,9 +167,9 @@ def test_a_baseline_is_approved_once_and_retired_with_author_time_and_reason(ben
         ("B-baseline-2", "collecting", 10, 57),
     ]
     first, second = bench.catalogue.rows(BaselineRow)
-    assert (first.retired_by, first.retired_because) == ("ann", "coupled anew")
+    assert (first.retired_by, first.retired_reason) == ("ann", "coupled anew")
     assert (first.retired_utc_ns, second.created_utc_ns) == (bench.clock.utc_ns(),) * 2
-    kinds = [event.kind for event in bench.catalogue.rows(EventRow, topic="verdicts")]
+    kinds = [event.kind for event in bench.catalogue.rows(EventRow, topic="assessments")]
     assert kinds == ["baseline_approved", "baseline_retired", "baseline_collecting"]
 
 
@@ -196,7 +196,12 @@ def test_a_retired_baseline_resets_its_change_alarms_with_the_same_author(
     moment = Moment(utc_ns=0, due_h=HOUR, set_index=7)
     for position, kind in [("B", "wall_change"), ("B", "transducer_change"), ("C", "wall_change")]:
         condition = Condition(
-            position=position, kind=kind, family="damage", severity="high", present=True, message="it changed"
+            position=position,
+            kind=kind,
+            alarm_class="damage",
+            priority="high",
+            present=True,
+            message="it changed",
         )
         bench.ledger.update_alarm(condition, moment)
     seen = bench.catalogue.add_command("bob", "acknowledge_alarm", {"alarm_id": 2, "note": "a worn sensor"})
@@ -402,7 +407,7 @@ def test_a_disabled_transducer_names_the_author_of_the_command(bench: Bench) -> 
     bench.execute("disable", position="C")
     assert bench.ledger.retired() == {"C": "retired by ann: no reason given"}
     (event,) = bench.catalogue.events_after(0, {"alarms"})
-    assert (event.kind, event.payload["proof"]) == ("alarm_raised", {"command_id": 1})
+    assert (event.kind, event.payload["evidence"]) == ("alarm_raised", {"command_id": 1})
     assert event.payload["raised_h"] == HOUR
 
 

@@ -18,21 +18,21 @@ def facts(**values: object) -> Facts:
 
 
 def alarm(
-    state: AlarmState, alarm_id: int = 7, position: str | None = "B", kind: str = "retired"
+    state: AlarmState, alarm_id: int = 7, position: str | None = "B", kind: str = "transducer_disabled"
 ) -> AlarmRow:
     return AlarmRow(
         id=alarm_id,
         position=position,
         kind=kind,
-        family="device",
-        severity="high",
+        alarm_class="diagnostic",
+        priority="high",
         state=state,
         raised_utc_ns=0,
         raised_h=0.0,
         raised_set_index=0,
         changed_utc_ns=0,
         message="why",
-        proof={},
+        evidence={},
     )
 
 
@@ -55,10 +55,12 @@ ARGUMENTS: dict[str, dict[str, object]] = {
     "annotate": {"from_h": 1.0, "position": "A", "text": "couplant renewed"},
     "withdraw_annotation": {"annotation_id": 3},
 }
-DOUBTED = alarm("unacknowledged", alarm_id=8, position=None, kind="clock_doubted")
+DOUBTED = alarm("unacknowledged", alarm_id=8, position=None, kind="clock_unverified")
 NOTED = AnnotationRow(id=3, from_h=1.0, to_h=1.0, text="dropped a spanner", author="ben", written_utc_ns=0)
 SHELVED = replace(alarm("acknowledged", alarm_id=9, kind="wall_change"), suppressed="shelved")
-OUT_OF_SERVICE = replace(alarm("acknowledged", alarm_id=10, kind="thickness"), suppressed="out_of_service")
+OUT_OF_SERVICE = replace(
+    alarm("acknowledged", alarm_id=10, kind="thickness_low"), suppressed="out_of_service"
+)
 OPEN = {
     "alarms": [alarm("unacknowledged", position="C"), DOUBTED, SHELVED, OUT_OF_SERVICE],
     "held": "",
@@ -89,7 +91,7 @@ def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind: str, wor
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: str) -> None:
     command = order(kind, **ARGUMENTS.get(kind, {}))
-    refusal = command.forbidden(facts(**OPEN, recorder="silent", recorded=False))
+    refusal = command.forbidden(facts(**OPEN, recorder="not_responding", recorded=False))
     assert (refusal is None) == isinstance(command, StoredCommand)
     if refusal is not None:
         assert refusal.detail == "Nobody records this test: nobody would carry this out."
@@ -124,7 +126,7 @@ def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: st
             {"alarms": [replace(DOUBTED, state="returned_unacknowledged")]},
             "nobody doubts the system's clock",
             "Nobody doubts the system's clock.",
-            "The alarm clock_doubted stands while it is doubted.",
+            "The alarm clock_unverified stands while it is doubted.",
         ),
         (
             "disable",

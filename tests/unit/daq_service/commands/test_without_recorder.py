@@ -21,7 +21,13 @@ from daq_service.processes.data_folder import own_data_folder
 
 NOW = Moment(utc_ns=9_000, due_h=9.0, set_index=None)
 HOLE = Condition(
-    position="B", kind="hole", family="damage", severity="high", present=True, latched=True, message="a hole"
+    position="B",
+    kind="no_reflection",
+    alarm_class="damage",
+    priority="high",
+    present=True,
+    latched=True,
+    message="a hole",
 )
 
 

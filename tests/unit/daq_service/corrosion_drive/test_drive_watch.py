@@ -44,11 +44,11 @@ def trip_alarm(*, acknowledged=False):
     condition = Condition(
         position=None,
         kind="interlock_tripped",
-        family="device",
-        severity="critical",
+        alarm_class="diagnostic",
+        priority="critical",
         present=True,
         message="hole at B",
-        proof={},
+        evidence={},
     )
     row = update(None, condition, MOMENT).row
     return acknowledge(row, "Ada", "", MOMENT).row if acknowledged else row

@@ -184,8 +184,8 @@ def test_a_lost_supply_is_unknown_with_its_age_and_never_off(energised, error):
     # The newest reading was the fixture's last, 10 s before it ended.
     assert row["supply_age_s"] == pytest.approx(50.0, abs=0.5)  # half a second between ticks
     assert row["unknown_s"] == row["supply_age_s"], "a silence that lasts is unknown time already"
-    assert energised.active() == {"supply_lost"}
-    assert str(error) in energised.message("supply_lost")
+    assert energised.active() == {"supply_not_responding"}
+    assert str(error) in energised.message("supply_not_responding")
 
 
 def test_time_without_readings_is_counted_once_and_not_integrated(energised):
@@ -279,7 +279,7 @@ def test_a_silent_supply_trips_after_its_time_and_is_switched_off_later(energise
     assert energised.drive.tripped is None
     energised.run(20.0)
     assert energised.drive.tripped.startswith("no answer from the supply for 30")
-    assert energised.active() == {"supply_lost", "interlock_tripped", "supply_switch_off_pending"}
+    assert energised.active() == {"supply_not_responding", "interlock_tripped", "supply_switch_off_pending"}
     energised.supply.error = None
     energised.run(INTERVAL_S)
     assert not energised.supply.on
@@ -291,7 +291,7 @@ def test_silence_of_a_supply_that_was_switched_off_trips_nothing(energised):
     energised.run(INTERVAL_S)
     energised.supply.error = LOST
     energised.run(1000.0)
-    assert energised.active() == {"supply_lost"}
+    assert energised.active() == {"supply_not_responding"}
 
 
 def test_silence_of_a_supply_that_was_found_off_trips_nothing():
@@ -299,7 +299,7 @@ def test_silence_of_a_supply_that_was_found_off_trips_nothing():
     bench.run(INTERVAL_S)
     bench.supply.error = LOST
     bench.run(1000.0)
-    assert bench.active() == {"supply_lost"}
+    assert bench.active() == {"supply_not_responding"}
 
 
 # Conditions ----------------------------------------------------------------------------------------
@@ -328,8 +328,8 @@ def test_the_current_limit_raises_its_alarm():
     assert bench.active() == set()
     bench.supply.current_a = 0.495
     bench.run(INTERVAL_S)
-    assert bench.active() == {"supply_limit"}
-    assert "0.5 A" in bench.message("supply_limit")
+    assert bench.active() == {"supply_current_limit"}
+    assert "0.5 A" in bench.message("supply_current_limit")
 
 
 # Restart -------------------------------------------------------------------------------------------
@@ -423,7 +423,7 @@ def test_a_command_above_a_cap_is_rejected_and_changes_nothing(energised, voltag
 def test_a_restart_restores_the_command_and_its_limit():
     bench = Bench(DriveState(command=Command(voltage_v=10.0, current_limit_a=0.2)), on=True)
     bench.run(INTERVAL_S)
-    assert bench.active() == {"supply_limit"}
+    assert bench.active() == {"supply_current_limit"}
     bench = Bench(DriveState(command=Command()))
     bench.run(60.0)
     assert bench.active() == {"supply_off_unexpectedly"}
@@ -433,7 +433,7 @@ def test_a_restart_restores_the_command_and_its_limit():
 def test_silence_from_the_start_trips_what_was_commanded_on():
     bench = Bench(DriveState(command=Command()), error=LOST)
     bench.run(350.0)
-    assert bench.active() == {"supply_lost", "interlock_tripped", "supply_switch_off_pending"}
+    assert bench.active() == {"supply_not_responding", "interlock_tripped", "supply_switch_off_pending"}
 
 
 # Deviations ----------------------------------------------------------------------------------------
@@ -445,7 +445,7 @@ def test_silence_from_the_start_trips_what_was_commanded_on():
         (10.0, 0.0, {"supply_deviation"}),  # a lead is off, the bath is dry
         (3.0, 0.2, {"supply_deviation"}),
         (10.2, 0.2, {"supply_deviation"}),
-        (3.0, 0.5, {"supply_limit"}),
+        (3.0, 0.5, {"supply_current_limit"}),
         (10.0, 0.2, set()),
         (9.96, 0.003, set()),
     ],
@@ -455,7 +455,7 @@ def test_voltage_or_current_away_from_the_command_for_minutes(voltage_v, current
     bench.drive.energise("Ada", current_limit_a=0.5)
     bench.supply.voltage_v, bench.supply.current_a = voltage_v, current_a
     bench.run(PARAMETERS.deviation_after_s - INTERVAL_S)
-    assert bench.active() <= {"supply_limit"}
+    assert bench.active() <= {"supply_current_limit"}
     bench.run(3 * INTERVAL_S)
     assert bench.active() == active
     assert bench.supply.on, "nothing is switched"

@@ -147,7 +147,7 @@ def test_an_unwatched_supply_is_switched_off_once_and_released(bench: Bench) -> 
     # The next recorder finds it in the next process, and only a person's order ends it.
     bench.restart()
     bench.run(5.0)
-    assert {"supply_unwatched", "interlock_tripped"} <= bench.active()
+    assert {"supply_watchdog_trip", "interlock_tripped"} <= bench.active()
     assert bench.energised() == 1
     bench.ask(**ON)
     bench.run(30.0)
@@ -457,7 +457,7 @@ def test_a_state_of_an_older_version_is_read(tmp_path: Path) -> None:
         kept = read_stored_state(tmp_path)
         assert kept is not None
         assert kept.state.command == command
-        assert (kept.state.tripped, kept.state.latched) == ("hole", {"supply_unwatched"})
+        assert (kept.state.tripped, kept.state.latched) == ("hole", {"supply_watchdog_trip"})
 
 
 def test_a_supply_that_is_on_is_never_given_up(tmp_path: Path) -> None:

@@ -172,7 +172,7 @@ def test_a_missing_first_response_raises_an_alarm_after_a_while(bench: Bench) ->
     assert (row.set_index, row.supply_state, row.supply_quality) == (3, "unknown", "stale")
     assert bench.active() == {}
     bench.now_s += COMES_WITHIN_S
-    assert "Its process has not answered" in bench.active()["supply_lost"]
+    assert "Its process has not answered" in bench.active()["supply_not_responding"]
 
 
 def test_a_missing_process_gives_an_unknown_state_with_its_age(bench: Bench) -> None:
@@ -182,7 +182,7 @@ def test_a_missing_process_gives_an_unknown_state_with_its_age(bench: Bench) -> 
     unknown_s = bench.remote.row(0, 0.0).unknown_s or 0.0
     bench.is_killed()
     bench.wait_for_row(supply_state="unknown", supply_quality="lost")
-    assert list(bench.active()) == ["supply_lost"]
+    assert list(bench.active()) == ["supply_not_responding"]
     bench.now_s += 100.0
     row = bench.remote.row(0, 0.0)
     assert row.supply_age_s is not None

@@ -47,20 +47,20 @@ LATE = "last sign of life 66 s ago while waiting"
     [
         # The lock shows whether a recorder runs, the heartbeat whether it makes progress.
         (True, beat(65.0), "running", "running, waiting"),
-        (True, beat(66.0), "silent", f"not answering: {LATE}"),
+        (True, beat(66.0), "not_responding", f"not answering: {LATE}"),
         (True, None, "running", "running; no heartbeat of it can be read yet"),
         (True, beat(1.0, boot="another boot"), "running", "running, starting"),
-        (False, beat(1.0), "silent", "not running: last sign of life 1 s ago while waiting"),
-        (False, beat(66.0), "silent", f"not running: {LATE}"),
-        (False, beat(1.0, boot="another boot"), "silent", REBOOTED),
+        (False, beat(1.0), "not_responding", "not running: last sign of life 1 s ago while waiting"),
+        (False, beat(66.0), "not_responding", f"not running: {LATE}"),
+        (False, beat(1.0, boot="another boot"), "not_responding", REBOOTED),
         # The owner of the lock is unknown: the heartbeat decides.
         (None, beat(65.0), "running", "running, waiting"),
-        (None, beat(66.0), "silent", f"not running: {LATE}"),
-        (None, beat(1.0, boot="another boot"), "silent", REBOOTED),
-        (None, beat(-1.0, boot="another boot"), "silent", REBOOTED),
+        (None, beat(66.0), "not_responding", f"not running: {LATE}"),
+        (None, beat(1.0, boot="another boot"), "not_responding", REBOOTED),
+        (None, beat(-1.0, boot="another boot"), "not_responding", REBOOTED),
         # An older version, or a system without boot names: only a time in the future shows it.
         (None, beat(1.0, boot=None), "running", "running, waiting"),
-        (None, beat(-1.0, boot=None), "silent", REBOOTED),
+        (None, beat(-1.0, boot=None), "not_responding", REBOOTED),
     ],
 )
 @pytest.mark.parametrize(
@@ -79,9 +79,9 @@ def test_a_recorder_state_follows_from_lock_and_heartbeat(
 @pytest.mark.parametrize(
     ("kinds", "word", "description"),
     [
-        ([], "absent", "never started here"),
-        (["recorder_started"], "silent", GONE),
-        (["recorder_stopped", "recorder_started", "set_done"], "silent", GONE),
+        ([], "not_started", "never started here"),
+        (["recorder_started"], "not_responding", GONE),
+        (["recorder_stopped", "recorder_started", "set_done"], "not_responding", GONE),
     ],
 )
 def test_without_a_heartbeat_the_state_follows_from_the_catalogue(
@@ -111,7 +111,7 @@ def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell: str) -
     ("kinds", "word", "listens"),
     [
         (["recorder_started", "set_done", "schedule_done"], "finished", True),
-        (["schedule_done", "alarm_acknowledged", "hold"], "finished", True),
+        (["schedule_done", "alarm_acknowledged", "pause"], "finished", True),
         (["recorder_started", "recorder_stopped"], "stopped", False),
         (["recorder_started", "recorder_left_alone"], "stopped", False),
     ],
@@ -203,7 +203,7 @@ def test_status_commands_and_web_agree_that_no_recorder_runs(
         pytest.skip("this system names no boot")
     (folder / FILE_NAME).write_text(last_beat(), encoding="utf-8")
     assert describe_status(folder, Settings())["recorder"] in (REBOOTED, GONE)
-    for kind in ("hold", "supply_off"):
+    for kind in ("pause", "supply_off"):
         with pytest.raises(BusyError, match="no recorder runs"):
             send_command(
                 kind, config=None, data_dir=folder, note="hands in the rig", author="ann", as_json=False
@@ -212,7 +212,7 @@ def test_status_commands_and_web_agree_that_no_recorder_runs(
     health = json.loads(bytes(get_health(context).body))
     context.catalogue_access.close()
     assert health["recorder"]["state"] == health["as_of"]["recorder"]
-    assert health["recorder"]["state"] == "silent"
+    assert health["recorder"]["state"] == "not_responding"
     assert health["recorder"]["description"] in (REBOOTED, GONE)
     assert health["recorder"]["beat_age_s"] is None
 
@@ -241,9 +241,9 @@ def test_the_recorder_of_a_moved_folder_is_silent(folder: Path) -> None:
     folder.rename(folder.with_name("elsewhere"))
     health = json.loads(bytes(get_health(context).body))["recorder"]
     context.catalogue_access.close()
-    assert health["state"] == "silent"
+    assert health["state"] == "not_responding"
     assert f"{folder} is gone" in health["description"]
     assert "keeps what it takes in memory" in health["description"]
-    assert read_recorder_state(folder, []).status == "absent", (
+    assert read_recorder_state(folder, []).status == "not_started", (
         "of a test that has not begun there is no folder"
     )

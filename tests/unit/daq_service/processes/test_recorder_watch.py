@@ -92,7 +92,7 @@ def test_three_restarts_in_ten_minutes_raise_one_alarm_until_a_stored_set(bench:
     bench.run(0.3, restarts_every_h=LOOK_EVERY_H)
     assert bench.alarms() == [("alarm_raised", RESTARTS)]
     (row,) = bench.catalogue.rows(AlarmRow)
-    assert (row.kind, row.family, row.severity) == ("recorder_not_running", "device", "high")
+    assert (row.kind, row.alarm_class, row.priority) == ("recorder_not_running", "device", "high")
     assert row.message.startswith("Recorder not running, sets are missed. 3 restarts in 10 min (hour 0.2). ")
     assert row.message.endswith("Read `logs/`, then run `solimon run`.")
     bench.store()
@@ -119,7 +119,7 @@ def test_a_recorder_that_fails_at_each_set_is_detected(bench: Bench) -> None:
     assert row.raised_h == pytest.approx(2.1 + MOST_INTERVALS * INTERVAL_H, abs=2.0 * LOOK_EVERY_H)
 
 
-@pytest.mark.parametrize("state", ["silent", "stopped", "absent"])
+@pytest.mark.parametrize("state", ["not_responding", "stopped", "not_started"])
 def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: RecorderStatus) -> None:
     bench.hour = 2.1
     bench.store()
@@ -131,7 +131,7 @@ def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: RecorderS
 def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
     bench.hour = 0.1
     bench.store()
-    bench.status, bench.hour = "silent", 9.0
+    bench.status, bench.hour = "not_responding", 9.0
     bench.watch = RecorderWatch(
         SETTINGS, bench.watch._folder, lambda: bench.catalogue, mono_s=lambda: 3600.0 * bench.hour
     )
@@ -143,7 +143,7 @@ def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
 
 
 def pause(bench: Bench) -> None:
-    bench.catalogue.add_event(utc_ns=0, topic="service", kind="hold", payload={"held": "Ada: filling"})
+    bench.catalogue.add_event(utc_ns=0, topic="service", kind="pause", payload={"held": "Ada: filling"})
 
 
 def finish(bench: Bench) -> None:
@@ -171,7 +171,7 @@ def test_a_test_without_due_sets_raises_nothing(bench: Bench, change) -> None:
 
 def test_a_waiting_recorder_raises_its_own_alarms(bench: Bench) -> None:
     bench.run(3.0)
-    bench.status = "silent"
+    bench.status = "not_responding"
     bench.run(MOST_INTERVALS * INTERVAL_H - 0.1)
     assert bench.alarms() == []
     bench.run(0.2)

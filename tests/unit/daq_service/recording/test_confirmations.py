@@ -109,16 +109,16 @@ def test_an_outlier_causes_an_immediate_confirmation_set_at_its_position(undistu
 
 def test_the_evidence_of_the_alarm_has_the_confirmation_result(undisturbed):
     changes = [row for row in undisturbed.rows("events") if row.position == "B" and row.topic == "alarms"]
-    assert [row.kind for row in changes] == ["alarm_raised", "alarm_proof_added"]
-    proven = [row.payload["proof"]["confirmation"] for row in changes]
+    assert [row.kind for row in changes] == ["alarm_raised", "alarm_evidence_added"]
+    proven = [row.payload["evidence"]["confirmation"] for row in changes]
     assert [confirmation["set_index"] for confirmation in proven] == [AFTER_FIRST, AFTER_THIRD]
-    assert the_alarm(undisturbed).proof["confirmation"] == proven[1]
+    assert the_alarm(undisturbed).evidence["confirmation"] == proven[1]
     assert proven[1]["confirms"] is True
 
 
 def test_a_persistent_change_does_not_cause_a_confirmation_after_every_set(undisturbed):
     requests = [
-        row.payload["because"] for row in undisturbed.rows("events") if row.kind == "confirmation_asked"
+        row.payload["reason"] for row in undisturbed.rows("events") if row.kind == "confirmation_asked"
     ]
     assert requests == [STEP, ALARM]
 
@@ -142,11 +142,11 @@ def test_scheduled_sets_are_assessed_identically_with_and_without_confirmation_s
 
     def planned(item, table):
         # The diagnosis depends on confirmation sets.
-        causes = ("averages", "cause", "cause_probability", "cause_told")
-        ordinal = {"verdicts": ("id", *causes), "features": ("id", "sequence")}[table]
+        causes = ("averages", "diagnosis", "diagnosis_probability", "diagnosis_details")
+        ordinal = {"assessments": ("id", *causes), "features": ("id", "sequence")}[table]
         return [replace(row, **dict.fromkeys(ordinal)) for row in item.rows(table)]
 
-    for table in ("verdicts", "features"):
+    for table in ("assessments", "features"):
         assert planned(line, table) == planned(without, table)
     assert line.rows("baselines") == without.rows("baselines")
     assert the_alarm(line).message == the_alarm(without).message
@@ -165,7 +165,7 @@ def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
     assert [row.set_index for row in confirmation_rows(line)] == [AFTER_FIRST, PLANNED_SETS + FIRST + 1]
     requests = [row.payload for row in line.rows("events") if row.kind == "confirmation_asked"]
     assert [payload["author"] for payload in requests] == ["", "Ada"]
-    assert requests[1]["because"] == "what is it?"
+    assert requests[1]["reason"] == "what is it?"
 
 
 @pytest.mark.parametrize(
@@ -231,13 +231,13 @@ def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line)
     run(line, stop=stop)
     line.script = with_incident_wave
     run(line)
-    confirmations = [(row.set_index, row.cause) for row in confirmation_rows(line, AssessmentRow)]
+    confirmations = [(row.set_index, row.diagnosis) for row in confirmation_rows(line, AssessmentRow)]
     assert confirmations == [(AFTER_FIRST, COUPLING), (AFTER_THIRD, COUPLING)]
-    causes = {row.set_index: row.cause for row in line.rows("verdicts") if row.position == "B"}
+    causes = {row.set_index: row.diagnosis for row in line.rows("assessments") if row.position == "B"}
     assert [causes[index] for index in (FIRST, FIRST + 1, SETS - 1)] == [UNDETERMINED, COUPLING, COUPLING]
     (alarm,) = (row for row in line.rows("alarms") if row.position == "B")
     assert alarm.kind == "transducer_change"
-    assert alarm.proof["confirmation"]["set_index"] == AFTER_THIRD
+    assert alarm.evidence["confirmation"]["set_index"] == AFTER_THIRD
     before = table_rows(line.folder)
     assert verify_folder(line.folder).damage == []
     files = {read_set(line.folder / row.file).set_index for row in confirmation_rows(line)}
@@ -289,7 +289,7 @@ def test_no_confirmation_set_is_taken_if_it_would_delay_a_scheduled_set(line):
     line.settings = settings({"phases": [{"until_h": 0.44, "interval_h": 0.02}]}, {"hours": 0.32})
     line.run()
     assert not confirmation_rows(line)
-    assert "confirmation" not in the_alarm(line).proof
+    assert "confirmation" not in the_alarm(line).evidence
 
 
 def test_a_confirmation_set_that_is_too_late_after_a_restart_is_closed_as_it_is(line):

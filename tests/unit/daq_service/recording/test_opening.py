@@ -61,7 +61,7 @@ class Opener:
 
     @property
     def alarms(self) -> list[AlarmRow]:
-        return self.catalogue.rows(AlarmRow, kind="rig_unavailable")
+        return self.catalogue.rows(AlarmRow, kind="instruments_unavailable")
 
 
 @pytest.fixture
@@ -82,7 +82,7 @@ def test_waiting_for_the_rig_is_running_and_raises_an_alarm_until_it_opens(opene
     assert (rig, did) == ("the rig", f"the recorder waited for the rig: {GONE}")
     assert seen == [("running", False, 0), *[("running", False, 1)] * 3]
     (row,) = opener.alarms
-    assert (row.message, row.proof) == (WHY, {"error": "ConnectionLostError"})
+    assert (row.message, row.evidence) == (WHY, {"error": "ConnectionLostError"})
     assert row.state == "returned_unacknowledged"
     assert opener.reports == [("alarm", "alarm_raised"), ("alarm", "alarm_cleared")]
     assert opener.heartbeat.stage == ""
@@ -102,7 +102,7 @@ def test_an_opened_rig_does_not_clear_the_alarm_of_a_set(opener: Opener) -> None
     opener.stop.set()
     opener.open(1)
     (row,) = opener.alarms
-    opener.catalogue.commit_set(SetCommit(alarms=[replace(row, proof={"set_index": 3, "error": "x"})]))
+    opener.catalogue.commit_set(SetCommit(alarms=[replace(row, evidence={"set_index": 3, "error": "x"})]))
     opener.stop.clear()
     opener.open(0)
     assert [row.state for row in opener.alarms] == ["unacknowledged"]

@@ -128,7 +128,7 @@ def test_the_files_alone_restore_all_rows_of_their_sets(line):
 
 
 def test_a_delayed_alarm_is_raised_by_the_same_set_after_restart_and_rebuild(tmp_path):
-    kinds = {"no_data": {"on_delay_s": 3000.0, "off_delay_s": 3000.0}}
+    kinds = {"few_valid_shots": {"on_delay_s": 3000.0, "off_delay_s": 3000.0}}
     stop = threading.Event()
 
     def script(key):
@@ -148,7 +148,11 @@ def test_a_delayed_alarm_is_raised_by_the_same_set_after_restart_and_rebuild(tmp
     before = line.rows("alarms")
     # Two poor sets make the condition, 3,000 s are two intervals; the first good set is 8.
     (alarm,) = line.alarms()
-    assert (alarm.kind, alarm.raised_set_index, alarm.state) == ("no_data", 5, "returned_unacknowledged")
+    assert (alarm.kind, alarm.raised_set_index, alarm.state) == (
+        "few_valid_shots",
+        5,
+        "returned_unacknowledged",
+    )
     events = [
         (event.kind, event.set_index)
         for event in line.rows("events")
@@ -168,7 +172,7 @@ def test_a_missing_line_of_the_history_costs_only_that_line_and_causes_a_warning
     before = table_rows(line.folder)
     path = line.folder / HISTORY_FILE
     lines = path.read_bytes().splitlines(keepends=True)
-    number = next(n for n, text in enumerate(lines) if b'"kind":"hold"' in text)
+    number = next(n for n, text in enumerate(lines) if b'"kind":"pause"' in text)
     del lines[number]
     path.write_bytes(b"".join(lines))
     lose_catalogue(line.folder)
@@ -176,7 +180,7 @@ def test_a_missing_line_of_the_history_costs_only_that_line_and_causes_a_warning
     assert any("history" in warning and f"{number + 1}" in warning for warning in result.warnings)
     after = table_rows(line.folder)
     assert [row for row in before["events"] if row not in after["events"]] == [
-        row for row in before["events"] if row[4] == "hold"
+        row for row in before["events"] if row[4] == "pause"
     ]
     assert {name for name in before if before[name] != after[name]} == {"events", "counts"}
 

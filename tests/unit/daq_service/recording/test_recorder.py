@@ -122,7 +122,7 @@ def undisturbed(tmp_path_factory):
 
 
 def assert_same_rows(line, undisturbed):
-    for table in ("sets", "shots", "features", "thickness", "verdicts", "baselines"):
+    for table in ("sets", "shots", "features", "thickness", "assessments", "baselines"):
         assert line.rows(table) == undisturbed.rows(table), table
 
 
@@ -132,7 +132,7 @@ def assert_same_rows(line, undisturbed):
 def test_the_recorder_waits_for_a_full_disk_and_raises_an_alarm(line, undisturbed, error):
     assert line.run(archive=FullDisk(line, 3, 7, error), mono_s=Seconds())
     assert_same_rows(line, undisturbed)
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "write_failed"]
     assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
     assert str(error) in alarm.message
     assert any(f"1 jobs wait in memory for the disk: {error}" in doing for doing in line.heartbeat.activities)
@@ -147,7 +147,7 @@ def test_in_real_time_sets_are_struck_on_and_stored_later(line, undisturbed):
     waited = [doing for doing in line.heartbeat.activities if "wait in memory" in doing]
     assert any(doing.startswith("taking set 5;") for doing in waited), "struck while set 3 was waiting"
     assert line.instruments[0].struck == undisturbed.instruments[0].struck
-    for table in ("sets", "features", "verdicts"):
+    for table in ("sets", "features", "assessments"):
         assert line.rows(table) == undisturbed.rows(table), table
 
 
@@ -184,7 +184,7 @@ def test_a_commit_that_failed_is_repeated_and_never_doubled(
     monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
     assert line.run(mono_s=Seconds())
     assert_same_rows(line, undisturbed)
-    assert "storage_unavailable" in {row.kind for row in line.rows("alarms")}
+    assert "write_failed" in {row.kind for row in line.rows("alarms")}
 
 
 def test_a_set_missed_while_another_program_locks_the_catalogue_has_that_as_its_cause(line, monkeypatch):
@@ -265,13 +265,13 @@ def test_the_alarm_of_sets_without_files_is_stored_though_the_catalogue_refused_
     worker.trouble = "no file can be made"
 
     def failing(catalogue, transaction):
-        if any(row.kind == "storage_unavailable" for row in transaction.alarms) and next(refusals, False):
+        if any(row.kind == "write_failed" for row in transaction.alarms) and next(refusals, False):
             raise CatalogueBusyError("database is locked")
         return commit(catalogue, transaction)
 
     monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
     assert line.run(compaction=worker, mono_s=Seconds())
-    (alarm,) = [row for row in line.alarms() if row.kind == "storage_unavailable"]
+    (alarm,) = [row for row in line.alarms() if row.kind == "write_failed"]
     assert (alarm.state, "no file can be made" in alarm.message) == ("unacknowledged", True)
 
 
@@ -299,7 +299,7 @@ def test_below_five_percent_free_no_data_are_stored(line, undisturbed):
     assert line.run(disk=Volume(line, 3, 4.9, 30).watch(), mono_s=Seconds())
     assert_same_rows(line, undisturbed)
     alarms = {row.kind: row for row in line.alarms()}
-    assert alarms["disk_space"].severity == "high"
+    assert alarms["disk_space"].priority == "high"
     assert alarms["disk_space"].message.startswith("4.90 GB (4.9%) of the volume are free")
     assert {row.state for row in alarms.values()} == {"returned_unacknowledged"}
     assert [row.payload["level"] for row in events_of(line, "disk_space")] == ["stop", "ample"]
@@ -332,7 +332,7 @@ def test_above_five_percent_free_the_test_continues_with_an_event_or_an_alarm(
 ):
     assert line.run(disk=Volume(line, 3, free_gb, 10).watch(), mono_s=Seconds())
     assert [row.payload["level"] for row in events_of(line, "disk_space")] == [level, "ample"]
-    assert [(row.kind, row.severity) for row in line.alarms()] == alarms
+    assert [(row.kind, row.priority) for row in line.alarms()] == alarms
     assert_same_rows(line, undisturbed)
 
 
@@ -356,7 +356,7 @@ def test_a_restart_gives_the_rows_of_an_uninterrupted_run(line, tmp_path):
         with pytest.raises(Killed):
             line.run(archive=WatchedArchive(line, refuse={count}))
     line.run()
-    for table in ("sets", "shots", "features", "verdicts", "baselines", "alarms"):
+    for table in ("sets", "shots", "features", "assessments", "baselines", "alarms"):
         assert line.rows(table) == undisturbed.rows(table), table
 
 
@@ -383,11 +383,11 @@ def test_a_corrupt_file_without_rows_is_quarantined_with_an_alarm(line, tmp_path
     assert (states(line, "B")[0], states(line, "B")[1]) == ("missed", "done")
     assert causes(line, "B")[0].startswith("its file was damaged and is set aside (memory/sets/set_000000")
     assert line.instruments[0].struck[0] == ("B", 1, 0, 0)
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "data_damaged"]
-    assert (alarm.state, len(alarm.proof["set_aside"])) == ("unacknowledged", 2)
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "data_corrupt"]
+    assert (alarm.state, len(alarm.evidence["set_aside"])) == ("unacknowledged", 2)
     line.shelf.quarantine.clear()  # a person has looked at them
     line.run()
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "data_damaged"]
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "data_corrupt"]
     assert alarm.state == "returned_unacknowledged"
 
 
@@ -398,7 +398,7 @@ def test_an_alarm_lost_in_a_crash_is_raised_by_the_next_start(line):
     archive = MemoryArchive(line.shelf)
     archive.set_aside(archive.store_set(next(iter(undisturbed.shelf.sets.values()))).file)
     line.run()
-    assert [row.kind for row in line.alarms()] == ["data_damaged"]
+    assert [row.kind for row in line.alarms()] == ["data_corrupt"]
 
 
 def test_a_recorder_without_its_supervisor_reports_it(line):
@@ -479,7 +479,7 @@ def test_a_temporary_rig_error_costs_only_its_set(line, kind):
     assert line.run()
     assert states(line, "B")[:3] == ["missed", "done", "done"]
     assert states(line, "A") == ["done"] * SETS
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "rig_unavailable"]
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "instruments_unavailable"]
     assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
     assert "the chassis reboots" in alarm.message
 
@@ -490,7 +490,7 @@ def failing_at(*keys):
 
 
 def test_a_rig_that_never_worked_ends_the_test_when_its_shots_are_stored(line):
-    for index in (0, 1):  # the next start has no proof, either
+    for index in (0, 1):  # the next start has no evidence, either
         line.script = failing_at(ShotKey(position="C", set_index=index, shot_index=2))
         message = rf"set {index} ended early: no such channel; the 6 shots before it are stored"
         with pytest.raises(RigError, match=message):
@@ -499,7 +499,7 @@ def test_a_rig_that_never_worked_ends_the_test_when_its_shots_are_stored(line):
     assert causes(line, "C")[0] == "no such channel"
     assert line.rows("sets", "C")[0].n_taken == 2
     assert states(line, "D") == ["missed"] * 2
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "rig_unavailable"]
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "instruments_unavailable"]
     assert "the recorder has stopped" in alarm.message
 
 
@@ -512,7 +512,7 @@ def test_an_error_of_a_rig_that_has_worked_costs_sets_and_not_the_test(line, res
     line.script = failing_at(*broken)
     assert line.run()
     assert states(line, "C")[:5] == ["done"] + ["partial"] * 3 + ["done"]
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "rig_unavailable"]
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "instruments_unavailable"]
     assert alarm.state == "returned_unacknowledged"
     assert alarm.message == "set 1 ended early: no such channel; the next set tries again"
 
@@ -555,7 +555,7 @@ def test_an_interrupted_set_continues_with_its_missing_strikes(line, tmp_path, k
     assert line.run(archive=archive)
     before, after = (instruments.struck for instruments in line.instruments)
     assert before + after == undisturbed.instruments[0].struck
-    for table in ("sets", "shots", "features", "verdicts", "baselines", "alarms"):
+    for table in ("sets", "shots", "features", "assessments", "baselines", "alarms"):
         assert line.rows(table) == undisturbed.rows(table), table
     assert archive.open_sets() == {}
 
@@ -627,7 +627,7 @@ def test_a_failed_write_of_a_shot_is_reported_before_the_next_strike(line):
     assert line.run(archive=archive, mono_s=Seconds())
     (struck,) = next(doing for position, shot_index, doing in strikes if (position, shot_index) == ("B", 1))
     assert struck == "taking set 0; 1 jobs wait in memory for the disk: No space left on device"
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "storage_unavailable"]
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "write_failed"]
     assert alarm.state == "returned_unacknowledged"
     assert states(line, "B") == ["done"] * SETS
 
@@ -673,7 +673,7 @@ def test_a_transducer_disabled_during_a_set_is_not_struck_again(line):
     send_at(line, ShotKey(position="B", set_index=1, shot_index=1), "disable", position="C")
     line.run()
     assert {strike[:2] for strike in line.instruments[0].struck if strike[1] == 1} == {("B", 1), ("D", 1)}
-    assert states(line, "C")[:3] == ["done", "missed", "retired"]
+    assert states(line, "C")[:3] == ["done", "missed", "disabled"]
 
 
 def test_a_pause_misses_sets_with_its_reason_also_after_a_restart(line):
@@ -691,7 +691,7 @@ def test_a_disabled_transducer_is_not_struck_and_the_others_are(line):
     line.order("disable", position="C")
     line.run()
     assert {strike[0] for strike in line.instruments[0].struck} == {"B", "D"}
-    assert states(line, "C") == ["retired"] * SETS
+    assert states(line, "C") == ["disabled"] * SETS
     assert [row.n_planned for row in line.rows("sets", "C")] == [0] * SETS
     assert states(line, "B") == ["done"] * SETS
 
@@ -700,16 +700,19 @@ def test_a_silent_transducer_raises_no_data_and_is_then_disabled(line):
     line.script = lambda key: silent("noisy") if key.position == "D" and key.set_index >= 2 else healthy(key)
     line.run()
     alarms = {row.kind: row for row in line.rows("alarms") if row.position == "D"}
-    assert (alarms["no_data"].raised_set_index, alarms["retired"].raised_set_index) == (3, 4)
-    assert states(line, "D") == ["done"] * 5 + ["retired"] * (SETS - 5)
+    assert (alarms["few_valid_shots"].raised_set_index, alarms["transducer_disabled"].raised_set_index) == (
+        3,
+        4,
+    )
+    assert states(line, "D") == ["done"] * 5 + ["disabled"] * (SETS - 5)
 
 
 def test_a_transducer_without_any_record_raises_no_data_and_is_then_disabled(line):
     line.script = lambda key: None
     line.run()
     alarms = {row.kind: row.raised_set_index for row in line.rows("alarms") if row.position == "D"}
-    assert alarms == {"no_data": 1, "retired": 2}
-    assert states(line, "D") == ["missed"] * 3 + ["retired"] * (SETS - 3)
+    assert alarms == {"few_valid_shots": 1, "transducer_disabled": 2}
+    assert states(line, "D") == ["missed"] * 3 + ["disabled"] * (SETS - 3)
 
 
 def test_the_baseline_ends_with_the_set_at_its_last_hour(line):

@@ -48,7 +48,7 @@ def test_a_baseline_without_limits_is_not_approved_and_names_the_remedy(line):
 
 def test_a_transducer_with_a_refused_baseline_is_not_assessed(line):
     for status in line.seen.values():
-        assert (status["state"], status["last_verdict"]["reason"]) == ("not_judged", REASON)
+        assert (status["state"], status["last_assessment"]["reason"]) == ("not_assessed", REASON)
         assert status["baseline"]["limit_reason"] == REASON
     assert line.seen.keys() == {"approve_baseline", "strike", "renew_baseline"}
 
@@ -63,7 +63,12 @@ def test_a_baseline_without_limits_is_neither_approved_nor_used(line):
 
 def test_an_alarm_is_active_until_the_baseline_is_retired(line):
     (row,) = line.rows("alarms")
-    assert (row.position, row.kind, row.severity, row.raised_set_index) == ("B", "not_judged", "medium", LAST)
+    assert (row.position, row.kind, row.priority, row.raised_set_index) == (
+        "B",
+        "not_assessed",
+        "medium",
+        LAST,
+    )
     assert row.message == f"nothing is judged at B: {REASON}"
     history = [transition(event) for event in line.rows("events") if event.topic == "alarms"]
     assert [(event["kind"], event["who"], event["why"]) for event in history] == [

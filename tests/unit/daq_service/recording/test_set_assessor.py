@@ -93,14 +93,16 @@ def test_a_restart_after_any_set_does_not_change_the_assessments(line):
         key, shift=wall.get(key.position, 0.0) * max(0, in_order(key.set_index)[0] - 15)
     )
     line.run()
-    expected = {name: line.rows(name) for name in ("verdicts", "alarms", "features", "baselines")}
+    expected = {name: line.rows(name) for name in ("assessments", "alarms", "features", "baselines")}
     raised = [row for row in expected["alarms"] if row.kind == "wall_change"]
     assert [row.position for row in raised] == ["D", "B"]
-    assert raised[0].proof["chart"] > raised[0].proof["limit"]
-    assert raised[0].proof["rate_guaranteed"] is False
+    assert raised[0].evidence["mewma_statistic"] > raised[0].evidence["limit"]
+    assert raised[0].evidence["rate_verified"] is False
     assert "not promised: 16 sets cannot show slow memory" in raised[0].message
     assert [row.limits.keys() for row in expected["baselines"]] == [LIMITS.keys()] * 3
-    assert {row.readiness["why_not_guaranteed"][:7] for row in expected["baselines"]} == {"16 sets"}
+    assert {row.baseline_quality["rate_not_verified_reason"][:7] for row in expected["baselines"]} == {
+        "16 sets"
+    }
     assert [(row.state, row.approved_utc_ns is None) for row in expected["baselines"]] == [
         ("approved", False)
     ] * 3
@@ -140,8 +142,11 @@ def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
     assert (second.first_set_index, second.last_set_index) == (18, 32)
     tofs = [row.tof_pp_s for row in line.rows("features", "B") if row.shot_index is None]
     assert second.mean[0] == pytest.approx(np.mean(tofs[18:33]), rel=1e-12)  # the same doubles, summed alike
-    assert (second.readiness["n"], second.readiness["advice"][:19]) == (15, "fewer than 48 sets:")
-    assessments = line.rows("verdicts", "B")
+    assert (second.baseline_quality["n"], second.baseline_quality["advice"][:19]) == (
+        15,
+        "fewer than 48 sets:",
+    )
+    assessments = line.rows("assessments", "B")
     assert [row.set_index for row in assessments if row.in_baseline] == [*range(15), *range(18, 33)]
     assert [row.outlier for row in assessments[15:18]] == [False, True, None], "16 by the baseline of before"
     assert assessments[17].reason == "its baseline was retired before it was judged"
@@ -154,7 +159,7 @@ def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
         run_until(stopped, "D", set_index, script)
     stopped.script = script
     stopped.run()
-    for name in ("verdicts", "features", "baselines"):
+    for name in ("assessments", "features", "baselines"):
         assert stopped.rows(name) == line.rows(name)
     assert restored_states(stopped) == restored_states(line)
     assert_rows_have_the_stored_states(line)
@@ -251,7 +256,7 @@ def test_sets_of_lost_samples_are_no_data_and_no_hole(line):
         for index in (3, 4):
             assess_set(ledger, again, *records[index])
         assert (drive.trips, ledger.retired()) == ([], {})
-    assert {row.kind for row in line.alarms()} == {"no_data"}
+    assert {row.kind for row in line.alarms()} == {"few_valid_shots"}
 
 
 def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
@@ -267,7 +272,7 @@ def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
         schedule={"phases": [{"until_h": 9.5, "interval_h": 0.5}]}, baseline={"hours": 8.0}
     )
     line.run()
-    assert {(row.position, row.kind) for row in line.alarms()} == {("C", "hole")}
+    assert {(row.position, row.kind) for row in line.alarms()} == {("C", "no_reflection")}
 
 
 def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
@@ -307,7 +312,7 @@ def test_a_restart_restores_an_enabled_transducer(line):
     assert_rows_have_the_stored_states(line)
     line.script = script
     line.run()
-    assert [row.state for row in line.rows("sets", "D")] == ["done"] * 3 + ["retired"] + ["done"] * 8
+    assert [row.state for row in line.rows("sets", "D")] == ["done"] * 3 + ["disabled"] + ["done"] * 8
 
 
 def test_after_a_restart_a_repeated_shot_does_not_count_for_a_hole(line):
@@ -323,7 +328,7 @@ def test_after_a_restart_a_repeated_shot_does_not_count_for_a_hole(line):
     assert_rows_have_the_stored_states(line)
     line.script = script
     line.run()
-    assert "B" not in {row.position for row in line.rows("alarms") if row.kind == "hole"}
+    assert "B" not in {row.position for row in line.rows("alarms") if row.kind == "no_reflection"}
 
 
 class ThinningWall:
@@ -388,15 +393,17 @@ def test_a_temporary_read_error_does_not_change_the_reference_echo(line, monkeyp
 def test_an_alarm_keeps_the_id_that_the_catalogue_gave(line):
     line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
     with recorded(line, 2) as (ledger, again, _):
-        alarm = ledger.alarms["D", "no_data"]
-        assert again.rows("alarms")[alarm.id - 1].kind == "no_data"
+        alarm = ledger.alarms["D", "few_valid_shots"]
+        assert again.rows("alarms")[alarm.id - 1].kind == "few_valid_shots"
         event = [row for row in again.rows("events") if row.kind == "alarm_raised"][-1]
         assert event.payload["alarm_id"] == alarm.id
 
 
 def test_rows_alarms_and_events_of_a_set_are_one_transaction(line, monkeypatch):
     with recorded(line, 2) as (ledger, again, records):
-        before = {name: len(again.rows(name)) for name in ("sets", "shots", "features", "verdicts", "events")}
+        before = {
+            name: len(again.rows(name)) for name in ("sets", "shots", "features", "assessments", "events")
+        }
         ledger_commit = RecorderCatalogue.commit_set
 
         def refused(self, commit):
@@ -429,7 +436,7 @@ def test_the_rig_alarm_names_a_method_whose_instruments_do_not_respond(line):
     lost = ConnectionLostError("the probe's board is gone")
     line.script = lambda key: lost if key.position == "A" and key.set_index == 2 else healthy(key)
     line.run()
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "rig_unavailable"]
+    (alarm,) = [row for row in line.rows("alarms") if row.kind == "instruments_unavailable"]
     assert alarm.raised_set_index == 2
     assert "the probe's board is gone" in alarm.message
     assert alarm.state == "returned_unacknowledged"
@@ -459,7 +466,7 @@ def test_gaps_and_alarms_are_reported_after_they_are_stored(line):
     assert alarm[1] == {
         "change": "alarm_raised",
         "hour": row.raised_h,
-        "severity": row.severity,
+        "priority": row.priority,
         "message": row.message,
     }
     assert alarm[2] == len(line.alarms())

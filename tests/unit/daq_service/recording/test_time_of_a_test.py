@@ -180,7 +180,11 @@ def test_a_boot_in_2010_waits_for_a_set_clock_and_loses_nothing(laboratory):
     assert_every_set_once_in_order(laboratory)
     assert waited[0].startswith("waiting for a set clock: the system's clock says 2010-01-01T00:0")
     (alarm,) = laboratory.line.alarms()
-    assert (alarm.kind, alarm.family, alarm.state) == ("clock_doubted", "device", "returned_unacknowledged")
+    assert (alarm.kind, alarm.alarm_class, alarm.state) == (
+        "clock_unverified",
+        "device",
+        "returned_unacknowledged",
+    )
     assert "is before what was stored last (2024-01-01T0" in alarm.message
     assert laboratory.event_payloads("clock_step") == []
     assert [payload["ahead_s"] for payload in laboratory.event_payloads("clock_believed")] == [0.0]

@@ -5,10 +5,10 @@ from typing import Any, get_args
 
 import pytest
 
-from daq_service.alarms.states import SEVERITIES
+from daq_service.alarms.states import PRIORITIES
 from daq_service.errors import UsageError
 from daq_service.settings.file import checked_settings
-from daq_service.settings.notifications import Severity
+from daq_service.settings.notifications import Priority
 from daq_service.settings.tree import Settings
 
 DUTY = {"url": "https://alarms.example.org/hook", "secret_file": "duty.secret"}
@@ -24,7 +24,7 @@ def test_files_count_from_the_configuration_and_severities_are_those_of_alarms(t
     (duty,) = settings(tmp_path, DUTY).notifications.receivers.values()
     assert duty.secret_file == str(tmp_path / "duty.secret")
     assert duty.url == DUTY["url"]
-    assert get_args(Severity) == SEVERITIES
+    assert get_args(Priority) == PRIORITIES
 
 
 def test_receivers_do_not_change_the_configuration_hash(tmp_path):
@@ -78,7 +78,7 @@ def test_every_kind_of_receiver_can_have_heartbeats_which_are_off_by_default(tmp
     [
         ({"receivers": ["night"]}, "rule 1 names the receiver 'night'; there are duty"),
         ({"positions": ["Z"]}, "there is no position 'Z'; the positions are A, B, C, D"),
-        ({"severity": "urgent"}, "'low', 'medium', 'high' or 'critical'"),
+        ({"priority": "urgent"}, "'low', 'medium', 'high' or 'critical'"),
     ],
 )
 def test_a_rule_with_unknown_names_is_rejected(rule, message, tmp_path):

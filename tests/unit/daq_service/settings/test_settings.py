@@ -191,14 +191,23 @@ def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("kinds", "message"),
     [
-        ({"hole": {"on_delay_s": 60.0}}, r"'hole' has neither delays nor .*these have: wall_change"),
-        ({"supply_lost": {"on_delay_s": 60.0}}, r"supply_lost.on_delay_s is 60 s; .*at most 10 s"),
-        ({"no_data": {"off_delay_s": 1e5}}, r"no_data.off_delay_s: .*equal to 86400.*100000"),
         (
-            {"no_data": {"dead_band_fraction": 0.1}},
+            {"no_reflection": {"on_delay_s": 60.0}},
+            r"'no_reflection' has neither delays nor .*these have: wall_change",
+        ),
+        (
+            {"supply_not_responding": {"on_delay_s": 60.0}},
+            r"supply_not_responding.on_delay_s is 60 s; .*at most 10 s",
+        ),
+        ({"few_valid_shots": {"off_delay_s": 1e5}}, r"few_valid_shots.off_delay_s: .*equal to 86400.*100000"),
+        (
+            {"few_valid_shots": {"dead_band_fraction": 0.1}},
             r"is 0.1; only .*: wall_change, transducer_change, thickness",
         ),
-        ({"thickness": {"dead_band_m": 1e-4}}, r"thickness.dead_band_m: unknown key; did you mean dead"),
+        (
+            {"thickness_low": {"dead_band_m": 1e-4}},
+            r"thickness_low.dead_band_m: unknown key; did you mean dead",
+        ),
     ],
 )
 def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(
@@ -210,7 +219,7 @@ def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(
 
 def test_alarm_delays_do_not_change_the_configuration_hash() -> None:
     """They may be changed during a test, as the measurements stay the same."""
-    kinds = {"thickness": {"on_delay_s": 7200.0, "dead_band_fraction": 0.2}}
+    kinds = {"thickness_low": {"on_delay_s": 7200.0, "dead_band_fraction": 0.2}}
     settings = load_settings(None, overrides={"alarms": {"kinds": kinds}})
     assert settings.configuration_hash() == Settings().configuration_hash()
     stored = Settings().model_dump(mode="json")

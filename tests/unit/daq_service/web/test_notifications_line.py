@@ -42,8 +42,8 @@ def changes(message):
 
 def test_an_alarm_message_has_units_age_quality_and_guidance(make_bench):
     bench = make_bench()
-    proof = {"set_index": 72, "distance_squared": 41.2, "limit": 24.3, "rule": {"k": 3, "n": 5}}
-    event_id = bench.alarms.change(message="3 of 5 sets lie beyond the limit", proof=proof)
+    evidence = {"set_index": 72, "distance_squared": 41.2, "limit": 24.3, "rule": {"k": 3, "n": 5}}
+    event_id = bench.alarms.change(message="3 of 5 sets lie beyond the limit", evidence=evidence)
     bench.mono_s += 240.0
     (message,) = bench.run()
     assert message.title == "HIGH wall_change at B has come - test"
@@ -54,21 +54,21 @@ def test_an_alarm_message_has_units_age_quality_and_guidance(make_bench):
         "Look first: Does the control position move, too? Then which feature contributes; temperature."
     )
     assert message.key.endswith(f".duty.{event_id}")
-    assert message.facts["severity"] == "high"
+    assert message.facts["priority"] == "high"
     assert message.facts["alarms"][0]["age_s"] == 240.0
 
 
 @pytest.mark.parametrize(
     ("rule", "is_sent"),
     [
-        ({"severity": "critical"}, False),
-        ({"severity": "high"}, True),
+        ({"priority": "critical"}, False),
+        ({"priority": "high"}, True),
         ({"positions": ["C"]}, False),
         ({"positions": ["B", "C"]}, True),
-        ({"kinds": ["hole"]}, False),
-        ({"kinds": ["hole", "wall_change"]}, True),
+        ({"kinds": ["no_reflection"]}, False),
+        ({"kinds": ["no_reflection", "wall_change"]}, True),
         ({"receivers": ["night"]}, False),
-        ({"rules": [AT_ONCE | {"kinds": ["hole"]}, AT_ONCE]}, True),
+        ({"rules": [AT_ONCE | {"kinds": ["no_reflection"]}, AT_ONCE]}, True),
     ],
 )
 def test_a_rule_chooses_by_severity_position_kind_and_receiver(rule, is_sent, make_bench):
@@ -80,10 +80,10 @@ def test_a_rule_chooses_by_severity_position_kind_and_receiver(rule, is_sent, ma
 
 def test_each_automatic_state_change_of_an_alarm_is_sent(make_bench):
     bench = make_bench()
-    for severity, present in (("medium", True), ("high", True), ("high", False), ("high", True)):
-        bench.alarms.change(severity=severity, present=present)
-    bench.alarms.change("hole", latched=True)
-    bench.alarms.reset("hole")
+    for priority, present in (("medium", True), ("high", True), ("high", False), ("high", True)):
+        bench.alarms.change(priority=priority, present=present)
+    bench.alarms.change("no_reflection", latched=True)
+    bench.alarms.reset("no_reflection")
     sent_changes = [change for message in bench.run(1.0) for _, change in changes(message)]
     assert sent_changes == ["raised", "worse", "over", "back", "raised", "over"]
 
@@ -111,10 +111,10 @@ def test_an_alarm_that_returns_to_normal_within_its_delay_is_not_sent(make_bench
 
 def test_a_raised_priority_within_a_delay_keeps_the_return_of_a_sent_alarm(make_bench):
     bench = make_bench(delay_s=60.0)
-    bench.alarms.change(severity="medium")
+    bench.alarms.change(priority="medium")
     assert len(bench.run(61.0)) == 1
-    bench.alarms.change(severity="high")
-    bench.alarms.change(severity="high", present=False)
+    bench.alarms.change(priority="high")
+    bench.alarms.change(priority="high", present=False)
     sent_changes = [change for message in bench.run(120.0) for _, change in changes(message)]
     assert sent_changes == ["over", "worse"]
 
@@ -122,8 +122,8 @@ def test_a_raised_priority_within_a_delay_keeps_the_return_of_a_sent_alarm(make_
 def test_a_storm_is_one_message_with_its_counts(make_bench):
     bench = make_bench(group_s=10.0)
     for number in range(MOST_LISTED + 5):
-        bench.alarms.change(position=f"P{number}", severity="critical" if number == 3 else "medium")
-    bench.alarms.change(position="P0", severity="medium", present=False)
+        bench.alarms.change(position=f"P{number}", priority="critical" if number == 3 else "medium")
+    bench.alarms.change(position="P0", priority="medium", present=False)
     assert bench.run(9.0) == []
     (message,) = bench.run(2.0)
     assert message.title == "26 changes of alarms: 1 critical raised, 24 medium raised, 1 medium over - test"
@@ -146,8 +146,8 @@ def test_an_old_folder_s_alarms_are_no_news_to_new_notifications(make_bench, tmp
         "begins at the present, behind event 1: these notifications are new to the test; "
         "1 alarms that stand already are not sent"
     )
-    bench.alarms.change("hole")
-    assert [changes(message) for message in bench.run()] == [[("hole", "raised")]]
+    bench.alarms.change("no_reflection")
+    assert [changes(message) for message in bench.run()] == [[("no_reflection", "raised")]]
 
 
 def test_an_alarm_that_returned_to_normal_during_a_service_stop_is_not_sent(make_bench):
@@ -171,7 +171,9 @@ def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_
     while not is_over:
         folder = tmp_path / str(at)
         folder.mkdir()
-        bench = Bench(folder, notifying(rules=[{"kinds": ["hole"], "delay_s": 5.0, "group_s": 3.0}, AT_ONCE]))
+        bench = Bench(
+            folder, notifying(rules=[{"kinds": ["no_reflection"], "delay_s": 5.0, "group_s": 3.0}, AT_ONCE])
+        )
         bench.run()
         left = [at]
 
@@ -189,17 +191,17 @@ def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_
         bench.log.append = crashing(bench.log.append)
         bench._send = crashing(bench._send)
         bench.restarted()
-        wanted = [bench.alarms.change(kind) for kind in ("hole", "no_data", "thickness")]
+        wanted = [bench.alarms.change(kind) for kind in ("no_reflection", "few_valid_shots", "thickness_low")]
         try:
             bench.run(4.0, at_least_s=2.0)
-            wanted.append(bench.alarms.change("hole", position="C"))
+            wanted.append(bench.alarms.change("no_reflection", position="C"))
             bench.run(20.0, at_least_s=3.0)
             is_over = True
         except Crash:
             bench.restarted()
             bench.run(4.0, at_least_s=2.0)
             if len(wanted) == 3:
-                wanted.append(bench.alarms.change("hole", position="C"))
+                wanted.append(bench.alarms.change("no_reflection", position="C"))
             bench.run(20.0, at_least_s=3.0)
         by_key = {
             message.key: [item["event_id"] for item in message.facts["alarms"]] for message in bench.sent
@@ -213,17 +215,17 @@ def test_a_crash_at_any_point_loses_nothing_and_repeats_at_most_one_message(tmp_
 
 def test_a_message_unlogged_after_a_crash_is_repeated_with_the_same_key(make_bench, monkeypatch):
     bench = make_bench(group_s=10.0)
-    bench.alarms.change("hole")
-    bench.alarms.change("no_data")
+    bench.alarms.change("no_reflection")
+    bench.alarms.change("few_valid_shots")
     monkeypatch.setattr(bench.line, "_finish_sent", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         bench.run(10.0)
     bench.restarted()
-    bench.alarms.change("thickness")  # must not get into the message that may have been delivered
+    bench.alarms.change("thickness_low")  # must not get into the message that may have been delivered
     first, again, other = [*bench.sent, *bench.run(20.0)]
     assert first.key == again.key != other.key
-    assert changes(first) == changes(again) == [("hole", "raised"), ("no_data", "raised")]
-    assert changes(other) == [("thickness", "raised")]
+    assert changes(first) == changes(again) == [("no_reflection", "raised"), ("few_valid_shots", "raised")]
+    assert changes(other) == [("thickness_low", "raised")]
 
 
 def test_a_cursor_of_another_catalogue_starts_at_the_present_with_a_note(make_bench):
@@ -235,8 +237,8 @@ def test_a_cursor_of_another_catalogue_starts_at_the_present_with_a_note(make_be
     ahead.run()
     assert "the catalogue does not have event 1 as it was told" in ahead.line.state.began
     ahead.mono_s += 7.0  # its event 1 is written at another time
-    ahead.alarms.change("hole")
-    assert [changes(message) for message in ahead.run()] == [[("hole", "raised")]]
+    ahead.alarms.change("no_reflection")
+    assert [changes(message) for message in ahead.run()] == [[("no_reflection", "raised")]]
     ahead.alarms.catalogue.close()
 
 
@@ -246,7 +248,7 @@ def test_a_full_disk_does_not_prevent_notifications(make_bench, monkeypatch, cap
         "daq_service.processes.notifications.delivery_log.append_line",
         lambda *_: (_ for _ in ()).throw(OSError(28, "No space left on device")),
     )
-    bench.alarms.change("disk_space", position=None, family="device")
+    bench.alarms.change("disk_space", position=None, alarm_class="diagnostic")
     assert [changes(message) for message in bench.run(60.0)] == [[("disk_space", "raised")]]
     assert caplog.text.count("a crash would repeat messages") == 1
 
@@ -267,7 +269,7 @@ def test_a_dead_receiver_is_tried_again_with_growing_pauses_and_loses_nothing(ma
     assert times_s == [0.0, 2.0, 6.0, 14.0, 30.0, 62.0]
     assert len({message.key for message in bench.sent}) == 1
     assert [line.event_ids for line in bench.log_lines("sent")] == [[first]]
-    assert [line.told for line in bench.log_lines("failing")] == ["no answer within 15 s"]
+    assert [line.result for line in bench.log_lines("failing")] == ["no answer within 15 s"]
     assert [record.levelno for record in caplog.records].count(logging.WARNING) == 1
 
 
@@ -287,11 +289,11 @@ def test_a_message_that_is_refused_makes_way_for_the_others(make_bench):
     bench.outcomes += [refusal] * MOST_REFUSALS
     bench.alarms.change()
     bench.run()
-    bench.alarms.change("hole")
+    bench.alarms.change("no_reflection")
     bench.run(100.0)
-    assert [changes(message)[0][0] for message in bench.sent] == ["wall_change"] * 5 + ["hole"]
+    assert [changes(message)[0][0] for message in bench.sent] == ["wall_change"] * 5 + ["no_reflection"]
     (line,) = bench.log_lines("gave_up")
-    assert line.told == "refused 5 times: the receiver answers 422"
+    assert line.result == "refused 5 times: the receiver answers 422"
 
 
 def test_a_message_that_is_undelivered_for_a_day_is_given_up_and_logged(make_bench):
@@ -300,10 +302,10 @@ def test_a_message_that_is_undelivered_for_a_day_is_given_up_and_logged(make_ben
     bench.alarms.change()
     bench.run(24 * 3600.0 + 600.0, at_least_s=300.0)
     (line,) = bench.log_lines("gave_up")
-    assert line.told == "not delivered within 24 h: no answer within 15 s"
+    assert line.result == "not delivered within 24 h: no answer within 15 s"
     assert is_dead(bench.line.state, bench.now_ns())
     bench.outcomes.clear()
-    bench.alarms.change("hole")
+    bench.alarms.change("no_reflection")
     bench.run(1.0)
     assert not is_dead(bench.line.state, bench.now_ns())
 
@@ -342,10 +344,10 @@ def test_a_heartbeat_message_has_recorder_state_and_age_and_stops_with_the_recor
         "The recorder is running (running, waiting); the last set is 15.0 min old on the test's clock."
     )
     assert len(bench.run(60.0)) == 2
-    facts["recorder"] = "silent"
+    facts["recorder"] = "not_responding"
     assert bench.run(300.0) == []
     assert bench.line.state.heartbeat == "withheld"
-    assert [line.told.partition(":")[0] for line in bench.log_lines("heartbeat")] == [
+    assert [line.result.partition(":")[0] for line in bench.log_lines("heartbeat")] == [
         "withheld",
         "ok",
         "withheld",
@@ -402,12 +404,12 @@ def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(make_bench, 
         return send(message)
 
     monkeypatch.setattr(bench.line, "_send", fail)
-    unreadable, readable = bench.alarms.change("hole"), bench.alarms.change("no_data")
+    unreadable, readable = bench.alarms.change("no_reflection"), bench.alarms.change("few_valid_shots")
     read = receiver_module.alarm_change_of
     monkeypatch.setattr(
         receiver_module, "alarm_change_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
     )
-    assert [changes(message) for message in bench.run(30.0)] == [[("no_data", "raised")]]
+    assert [changes(message) for message in bench.run(30.0)] == [[("few_valid_shots", "raised")]]
     assert bench.log_lines("sent")[0].event_ids == [readable]
-    assert [line.told for line in bench.log_lines("failing")] == ["it could not be sent (LookupError)"]
+    assert [line.result for line in bench.log_lines("failing")] == ["it could not be sent (LookupError)"]
     assert f"event {unreadable} cannot be read and is not sent" in caplog.text

@@ -40,7 +40,12 @@ def filled(tmp_path, receiver):
 
 def raise_alarm(folder, kind):
     condition = Condition(
-        position="B", kind=kind, family="damage", severity="high", present=True, message=f"{kind} is there"
+        position="B",
+        kind=kind,
+        alarm_class="damage",
+        priority="high",
+        present=True,
+        message=f"{kind} is there",
     )
     change = update(None, condition, Moment(utc_ns=folder.due[0].due_utc_ns, due_h=0.5, set_index=0))
     assert isinstance(change, Change)
@@ -92,7 +97,7 @@ def test_neither_secret_nor_path_is_exposed(filled, receiver, caplog):
     receiver.answers.put((500, {}))
     with served(filled.settings, filled.folder) as service, service.client() as client:
         wait_for_start(client)
-        raise_alarm(filled, "hole")
+        raise_alarm(filled, "no_reflection")
         until(lambda: duty(client)["failed"], "a failure")
         texts = [client.get(path).text for path in (STATE, f"{STATE}/log", "/metrics", "/api/v1/info")]
         texts.append(client.post(f"{STATE}/duty/test", json={}).text)
@@ -109,10 +114,10 @@ def duty_address(text):
 def test_a_test_message_returns_its_result_and_only_one_runs_at_a_time(filled, receiver):
     with served(filled.settings, filled.folder) as service, service.client() as client:
         answer = client.post(f"{STATE}/duty/test", json={}).json()
-        assert (answer["ok"], answer["status"], answer["told"]) == (True, 204, "taken (204)")
+        assert (answer["ok"], answer["status"], answer["result"]) == (True, 204, "taken (204)")
         assert receiver.next().message["kind"] == "test"
         receiver.answers.put((410, {}))
-        assert client.post(f"{STATE}/duty/test", json={}).json()["told"] == "the receiver answers 410 Gone"
+        assert client.post(f"{STATE}/duty/test", json={}).json()["result"] == "the receiver answers 410 Gone"
         assert client.post(f"{STATE}/night/test", json={}).json()["hint"] == "The receivers are: duty."
         line = service.app.state.context.notifications.queues["duty"]
         with line._test_lock:
@@ -126,7 +131,7 @@ def test_a_backup_sends_no_notifications(filled, receiver):
     with served(filled.settings, filled.folder) as service, service.client() as client:
         state = client.get(STATE).json()
         assert (state["sending"], state["receivers"][0]["began"]) == (False, "")
-        assert state["why_silent"] == "this is a backup; the test's own folder tells"
+        assert state["not_sending_reason"] == "this is a backup; the test's own folder tells"
     assert not (filled.folder / LOG_FILE).exists()
 
 
@@ -146,13 +151,13 @@ def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, recei
         service = stack.enter_context(served(filled.settings, tmp_path))
         client = stack.enter_context(service.client())
         until(lambda: all(one["began"] for one in client.get(STATE).json()["receivers"]), "the lines")
-        raise_alarm(filled, "hole")
+        raise_alarm(filled, "no_reflection")
         deaf.next()
-        raise_alarm(filled, "no_data")
+        raise_alarm(filled, "few_valid_shots")
         kinds: list[str] = []
         while len(kinds) < 2:  # one message, if both were there when its line looked
             kinds += [alarm["kind"] for alarm in receiver.next().message["alarms"]]
-        assert kinds == ["hole", "no_data"]
+        assert kinds == ["no_reflection", "few_valid_shots"]
         quick = [client.get("/healthz").status_code for _ in range(20)]
         assert quick == [200] * 20
         service.stop.set()

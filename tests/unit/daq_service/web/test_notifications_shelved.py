@@ -11,14 +11,14 @@ ROW = AlarmRow(
     id=3,
     position="B",
     kind="wall_change",
-    family="damage",
-    severity="high",
+    alarm_class="damage",
+    priority="high",
     state="unacknowledged",
     raised_utc_ns=0,
     raised_h=1.0,
     changed_utc_ns=0,
     message="why",
-    proof={},
+    evidence={},
 )
 
 
@@ -27,7 +27,7 @@ ROW = AlarmRow(
     [
         ("alarm_raised", None, "raised"),
         ("alarm_raised", "shelved", None),
-        ("alarm_returned", "out_of_service", None),
+        ("alarm_reactivated", "out_of_service", None),
         ("alarm_shelf_expired", None, "back"),
         ("alarm_cleared", "shelved", "over"),
         ("alarm_shelved", "shelved", None),

@@ -63,9 +63,9 @@ def test_the_web_service_and_the_standby_process_continue_each_other(
 
             until(sends, "the web service's line")
             assert web_state(filled.folder) == "responding"
-            assert alarm(filled, receiver, "hole") == ["hole"]
+            assert alarm(filled, receiver, "no_reflection") == ["no_reflection"]
         assert web_state(filled.folder) == "not_expected", "it ended in order"
-        assert alarm(filled, receiver, "no_data") == ["no_data"]
+        assert alarm(filled, receiver, "few_valid_shots") == ["few_valid_shots"]
     assert receiver.got.empty(), "nothing is sent twice"
 
 
@@ -76,7 +76,7 @@ def test_a_stopped_web_service_holds_no_message_back(filled: FilledFolder, recei
     with hold_lock(filled.folder, service.LOCK_FILE, ME, who="process"), ExitStack() as stack:
         stack.enter_context(standing_by(filled.settings, filled.folder, monitors_recorder=False))
         until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
-        assert alarm(filled, receiver, "hole") == ["hole"]
+        assert alarm(filled, receiver, "no_reflection") == ["no_reflection"]
 
 
 def test_a_process_that_lost_the_lock_stops_sending(filled: FilledFolder, receiver: HttpReceiver) -> None:
@@ -86,9 +86,11 @@ def test_a_process_that_lost_the_lock_stops_sending(filled: FilledFolder, receiv
         lock = filled.folder / service.LOCK_FILE
         lock.unlink()
         with hold_lock(filled.folder, service.LOCK_FILE, "process 1", who="process"):
-            silent = until(lambda: client.get("/api/v1/notifications").json()["why_silent"], "its look")
+            silent = until(
+                lambda: client.get("/api/v1/notifications").json()["not_sending_reason"], "its look"
+            )
             assert silent == "another process of this test sends"
-            filled.add_alarm("B", 0, kind="hole", message="hole is there")
+            filled.add_alarm("B", 0, kind="no_reflection", message="hole is there")
             assert lock_text(filled.folder, service.LOCK_FILE) == "process 1"
-        assert [item["kind"] for item in receiver.next().message["alarms"]] == ["hole"]
+        assert [item["kind"] for item in receiver.next().message["alarms"]] == ["no_reflection"]
     assert receiver.got.empty()

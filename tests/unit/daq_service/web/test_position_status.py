@@ -25,7 +25,7 @@ SETS = 4
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     with filled_folder(tmp_path_factory.mktemp("data"), sets=SETS) as filled:
-        filled.shelve(filled.add_alarm("A", SETS - 1, kind="thickness"), "a known leak", for_h=8.0)
+        filled.shelve(filled.add_alarm("A", SETS - 1, kind="thickness_low"), "a known leak", for_h=8.0)
         row = filled.catalogue.alarm(filled.add_alarm("B", SETS - 1))
         moment = Moment(utc_ns=row.raised_utc_ns, due_h=row.raised_h, set_index=None)
         filled._change(take_out_of_service(row, "ann", "its sensor is repaired", moment), moment)
@@ -33,7 +33,7 @@ def folder(tmp_path_factory):
         yield filled
 
 
-EXPECTED = {"A": "shelved", "B": "out_of_service", "C": "alarm", "D": "learning"}
+EXPECTED = {"A": "shelved", "B": "out_of_service", "C": "alarm", "D": "collecting_baseline"}
 
 
 def test_page_metrics_and_report_show_suppressed_alarms(folder, monkeypatch):

@@ -117,12 +117,12 @@ def test_a_shelf_ends_in_real_time_without_a_recorder(ended, monkeypatch):
 def test_alarms_are_filtered_by_state_severity_kind_and_hour(ended):
     filled, api = ended
     with filled_folder(filled.folder, filled.settings, exists=True) as again:
-        again.add_alarm("C", 0, severity="low", kind="no_data", state="acknowledged")
+        again.add_alarm("C", 0, priority="low", kind="few_valid_shots", state="acknowledged")
 
     def found(query):
         return [row["id"] for row in api.get(f"/api/v1/alarms?{query}").json()["items"]]
 
     assert found("") == [1, 2]
-    assert found("state=acknowledged") == found("severity=low") == found("kind=no_data") == [2]
-    assert found("from_h=0.9") == found("severity=high&position=B") == [1]
+    assert found("state=acknowledged") == found("priority=low") == found("kind=few_valid_shots") == [2]
+    assert found("from_h=0.9") == found("priority=high&position=B") == [1]
     assert found("from_h=0.5&to_h=1.0") == [2]

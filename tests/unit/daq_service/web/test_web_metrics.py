@@ -30,14 +30,14 @@ def test_metrics_agree_with_the_page(tmp_path):
         places = {item["position"]: item for item in api.get("/api/v1/transducers").json()["items"]}
     at_b = places["B"]
     assert value(found, "time_of_flight_seconds", position="B") == at_b["last_feature"]["tof_pp_s"]
-    assert value(found, "distance_squared", position="B") == at_b["last_verdict"]["distance_squared"]
+    assert value(found, "distance_squared", position="B") == at_b["last_assessment"]["distance_squared"]
     assert value(found, "distance_squared_limit", position="B") == LIMIT_F
     assert value(found, "thickness_meters", position="A") == places["A"]["last_thickness"]["thickness_m"]
     assert value(found, "data_age_seconds", position="B") == 3600.0 * at_b["age_h"]
     assert value(found, "position_state", position="B", state="alarm") == 1
     assert value(found, "position_state", position="C", state="alarm") == 0
     assert value(found, "quality", position="B", state="good") == 1
-    labels = {"kind": "wall_change", "severity": "high", "state": "unacknowledged", "position": "B"}
+    labels = {"kind": "wall_change", "priority": "high", "state": "unacknowledged", "position": "B"}
     labels["suppressed"] = ""
     assert value(found, "alarms_active", **labels) == 1
     assert value(found, "shots_total") == 60 * 3 * 2

@@ -86,11 +86,11 @@ def test_the_list_has_the_status_of_each_test(several):
     assert (hole["name"], hole["page"], hole["state"]) == ("Hole Nr. 2", "/tests/hole-nr-2/", "shown")
     standing = hole["standing"]
     assert (standing["recorder"], standing["state"]) == ("running", "alarm")
-    assert (standing["active_alarms"], standing["highest_severity"]) == (1, "high")
+    assert (standing["active_alarms"], standing["highest_priority"]) == (1, "high")
     assert standing["last_set_index"] == 2
     assert standing["last_set_h"] == several.hole.due[2].due_h
     assert [place["position"] for place in standing["positions"]] == list(HOLE.positions)
-    assert (twin["standing"]["last_set_index"], twin["standing"]["highest_severity"]) == (4, None)
+    assert (twin["standing"]["last_set_index"], twin["standing"]["highest_priority"]) == (4, None)
 
 
 def test_each_test_has_the_whole_interface_below_its_name(several):

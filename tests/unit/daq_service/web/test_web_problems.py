@@ -117,7 +117,7 @@ def test_cursor_belongs_to_its_listing_and_filters(api):
     cursor = api.get("/api/v1/sets?limit=1&position=B").json()["next_cursor"]
     assert api.get(f"/api/v1/sets?limit=1&position=B&cursor={cursor}").status_code == 200
     problem(api.get(f"/api/v1/sets?limit=1&position=C&cursor={cursor}"), 422, "invalid-cursor")
-    problem(api.get(f"/api/v1/verdicts?limit=1&position=B&cursor={cursor}"), 422, "invalid-cursor")
+    problem(api.get(f"/api/v1/assessments?limit=1&position=B&cursor={cursor}"), 422, "invalid-cursor")
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def filled(tmp_path_factory):
             if index > 1:  # the supply came later
                 folder.add_environment(index)
         folder.add_alarm("B", 55)
-        folder.add_alarm("C", 50, state="acknowledged", severity="critical", kind="hole")
+        folder.add_alarm("C", 50, state="acknowledged", priority="critical", kind="no_reflection")
         yield folder
 
 
@@ -130,7 +130,7 @@ def test_ranges_include_their_start_and_exclude_their_end(api):
     [
         ("/api/v1/sets", 4 * N_SETS),
         ("/api/v1/features?scope=shot", 6 * N_SETS),
-        ("/api/v1/verdicts?position=D", N_SETS),
+        ("/api/v1/assessments?position=D", N_SETS),
         ("/api/v1/thickness", N_SETS),
         ("/api/v1/environment", N_SETS - 2),
         ("/api/v1/alarms", 2),
@@ -202,11 +202,11 @@ def test_info_shows_a_pause_and_a_dry_run(tmp_path):
 
         assert pause_and_dry_run() == (None, None), "a recorder of an older version does not say"
         filled.say("recorder_started", dry_run=True)
-        filled.say("hold", held="held by ann: door open", author="ann")
+        filled.say("pause", held="held by ann: door open", author="ann")
         assert pause_and_dry_run() == ("held by ann: door open", True)
         filled.say("recorder_started", dry_run=False)
         assert pause_and_dry_run() == ("held by ann: door open", False), "a restart ends no hold"
-        filled.say("release", held="", author="ann")
+        filled.say("resume", held="", author="ann")
         assert pause_and_dry_run() == (None, False)
 
 
@@ -292,12 +292,12 @@ def test_transducers_have_their_state(api):
     assert {name: row["state"] for name, row in states.items()} == {
         "A": "normal",
         "B": "alarm",
-        "C": "retired",
+        "C": "disabled",
         "D": "normal",
     }
-    assert states["C"]["highest_severity"] == "critical"
-    assert states["B"]["last_verdict"]["quality"] == "good"
-    assert states["B"]["last_verdict"]["limit_f"] == LIMIT_F
+    assert states["C"]["highest_priority"] == "critical"
+    assert states["B"]["last_assessment"]["quality"] == "good"
+    assert states["B"]["last_assessment"]["limit_f_predictive"] == LIMIT_F
     assert not any(row["stale"] for row in states.values())
     assert states["B"]["last_set"]["set_index"] == N_SETS - 1
 
@@ -308,7 +308,7 @@ def test_data_of_a_missing_recorder_are_stale(tmp_path):
         (tmp_path / FILE_NAME).unlink()
         with served(filled.settings, tmp_path) as service, service.client() as api:
             answer = get(api, "/api/v1/transducers")
-            assert answer["as_of"]["recorder"] == "silent"
+            assert answer["as_of"]["recorder"] == "not_responding"
             assert all(row["stale"] for row in answer["items"])
 
 
@@ -318,11 +318,11 @@ def test_the_evidence_names_its_baseline_on_each_surface(tmp_path):
             filled.catalogue.commit_set(SetCommit(baselines=[frozen_baseline(name)]))
         by_id = {row.id: row.name for row in filled.catalogue.rows(BaselineRow)}
         (its_id,) = [number for number, name in by_id.items() if name == "C-baseline-1"]
-        proof = {"set_index": 0, "distance_squared": 30.5, "limit": LIMIT_F, "baseline_id": its_id}
-        filled.add_alarm("C", 0, proof=proof)
+        evidence = {"set_index": 0, "distance_squared": 30.5, "limit": LIMIT_F, "baseline_id": its_id}
+        filled.add_alarm("C", 0, evidence=evidence)
         named = "Set 0 lies at a squared distance of 30.5 from C-baseline-1, 1.26 times the limit of 24.3."
         with served(filled.settings, tmp_path) as service, service.client() as api:
-            assert get(api, "/api/v1/alarms/1")["proof_sentences"][0] == named
+            assert get(api, "/api/v1/alarms/1")["evidence_sentences"][0] == named
             assert named in api.get("/api/v1/tables/alarms?format=csv").text
         assert named in report_page(tmp_path).decode()
 
@@ -332,12 +332,12 @@ def test_data_of_a_disabled_transducer_continue_to_age(tmp_path):
         filled.retire("C", 2)
         with served(filled.settings, tmp_path) as service, service.client() as api:
             states = {row["position"]: row for row in get(api, "/api/v1/transducers")["items"]}
-        assert (states["C"]["state"], states["C"]["last_set"]["due_h"]) == ("retired", 1.5)
+        assert (states["C"]["state"], states["C"]["last_set"]["due_h"]) == ("disabled", 1.5)
         assert (states["C"]["data_h"], states["C"]["age_h"]) == (1.0, 0.5)
         assert states["C"]["data_utc"] == "2024-01-01T01:00:00Z"
         assert states["D"]["age_h"] == 0.5
-        assert states["C"]["retired_because"] == "10 sets running with nothing at C"
-        assert states["D"]["retired_because"] is None
+        assert states["C"]["disabled_reason"] == "10 sets running with nothing at C"
+        assert states["D"]["disabled_reason"] is None
 
 
 def test_health_counts_what_is_stored(api):
@@ -353,8 +353,8 @@ def test_alarm_filter_by_activity(api):
     assert len(get(api, "/api/v1/alarms?active=true")["items"]) == 2
     assert get(api, "/api/v1/alarms?active=false")["items"] == []
     alarm = get(api, "/api/v1/alarms/1")
-    assert alarm["proof"]["limit"] == LIMIT_F
-    assert alarm["proof_sentences"][0].endswith(f"1.26 times the limit of {LIMIT_F}.")
+    assert alarm["evidence"]["limit"] == LIMIT_F
+    assert alarm["evidence_sentences"][0].endswith(f"1.26 times the limit of {LIMIT_F}.")
 
 
 @pytest.mark.parametrize(

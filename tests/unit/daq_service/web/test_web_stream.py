@@ -87,12 +87,12 @@ def test_resume_works_across_a_restart_of_the_service(filled):
 
 
 def test_only_the_chosen_topics_arrive(filled, service):
-    with connected(service, "?topics=verdicts,thickness&after=0") as events:
+    with connected(service, "?topics=assessments,thickness&after=0") as events:
         filled.add_set(1, stored=False)
-        wanted = stored_ids(filled, ["verdicts", "thickness"])
+        wanted = stored_ids(filled, ["assessments", "thickness"])
         arrived = take(events, len(wanted))
     assert [event.id for event in arrived] == wanted
-    assert {event.event for event in arrived} == {"verdicts", "thickness"}
+    assert {event.event for event in arrived} == {"assessments", "thickness"}
 
 
 def test_a_too_old_event_id_is_a_gap(filled):

@@ -29,7 +29,12 @@ from daq_service.web.tables.formats import FORMATS, MATLAB_NAME
 
 N_SETS = 60
 DIAGNOSIS = {"probabilities": {"ok": 0.1, "wall": 0.9, "sensor": 0.0, "coupling": 0.0, "environment": 0.0}}
-READINESS = {"n_eff": 34.0, "phi_pooled": 0.17, "tail": 1.5, "why_not_guaranteed": "48 sets are few"}
+BASELINE_QUALITY = {
+    "n_eff": 34.0,
+    "phi_pooled": 0.17,
+    "tail": 1.5,
+    "rate_not_verified_reason": "48 sets are few",
+}
 LISTED = {"shot_features": ("features", {"scope": "shot"})}
 
 
@@ -40,7 +45,7 @@ def filled(tmp_path_factory):
 
         def with_a_cause(position, index, hour):
             row = assessment_of(position, index, hour)
-            return replace(row, cause_told=DIAGNOSIS) if (position, index) == ("B", 55) else row
+            return replace(row, diagnosis_details=DIAGNOSIS) if (position, index) == ("B", 55) else row
 
         folder.assessment = with_a_cause
         for index in range(N_SETS):
@@ -50,9 +55,9 @@ def filled(tmp_path_factory):
         folder.annotate(3.0, to_h=5.5, position="B", text="couplant, renewed\nby hand")
         folder.annotate(4.0, "an instant")
         folder.add_confirmation("C", 10)
-        frozen = frozen_baseline("B", id=2, readiness=READINESS)
+        frozen = frozen_baseline("B", id=2, baseline_quality=BASELINE_QUALITY)
         folder.catalogue.commit_set(SetCommit(baselines=[frozen]))
-        whole = {"severity": "critical", "kind": "disk_space", "message": "Ø, 5 %"}
+        whole = {"priority": "critical", "kind": "disk_space", "message": "Ø, 5 %"}
         folder.shelve(folder.add_alarm(None, 50, state="acknowledged", **whole), "a disk comes", for_h=72.0)
         yield folder
 
@@ -181,7 +186,7 @@ def test_a_selection_has_its_columns_and_their_keys(api):
     assert csv["tof_pp_s"].tolist() == [row["tof_pp_s"] for row in rows]
     assert {"due_h", "due_utc", "quality", "set_index", "position"} <= set(csv)
     assert not {"tof_ac_s", "amplitude_ratio"} & set(csv)
-    for table in ("sets", "features", "verdicts"):
+    for table in ("sets", "features", "assessments"):
         rows = listed(api, table, purpose="confirmation", position="C")
         csv = pd.read_csv(io.BytesIO(exported(api, table, "csv", purpose="confirmation")))
         assert csv["id"].tolist() == [row["id"] for row in rows]
@@ -194,8 +199,8 @@ def test_a_selection_has_its_columns_and_their_keys(api):
 
 
 def test_nested_values_have_their_own_columns(api):
-    assessments = pd.read_csv(io.BytesIO(exported(api, "verdicts", "csv", position="B")))
-    assert assessments["limit_chart"].tolist() == [LIMIT_CHART] * len(assessments)
+    assessments = pd.read_csv(io.BytesIO(exported(api, "assessments", "csv", position="B")))
+    assert assessments["mewma_limit"].tolist() == [LIMIT_CHART] * len(assessments)
     assert assessments["probability_wall"].dropna().tolist() == [0.9], "of the one set with a cause"
     assert assessments["probability_ok"].dropna().tolist() == [0.1]
     assert json.loads(assessments["limits"][0])["chart"] == LIMIT_CHART
@@ -208,8 +213,8 @@ def test_nested_values_have_their_own_columns(api):
     first = baselines.loc["B-baseline-1"]
     assert (first["from_h"], first["to_h"], first["n_sets"]) == (0.5, 24.0, 48)
     assert (first["n_eff"], first["phi_pooled"], first["tail"]) == (34.0, 0.17, 1.5)
-    assert (first["limit_chart"], first["why_not_guaranteed"]) == (LIMIT_CHART, "48 sets are few")
-    assert baselines.loc["C-baseline-1", "limit_chart"] != LIMIT_CHART
+    assert (first["mewma_limit"], first["rate_not_verified_reason"]) == (LIMIT_CHART, "48 sets are few")
+    assert baselines.loc["C-baseline-1", "mewma_limit"] != LIMIT_CHART
     later = pd.read_csv(io.BytesIO(exported(api, "baselines", "csv", from_h=24.5, position="B")))
     assert len(later) == 0
 
@@ -255,7 +260,11 @@ def test_the_header_accept_chooses_the_format(api):
         ("features?fields=tof", 422, "has no field tof; choose from"),
         ("features?fields=,", 422, "none named"),
         ("environment?position=B", 422, "has no positions"),
-        ("alarms?purpose=any", 422, "no sets beside the plan, sets, features, shot_features, verdicts have"),
+        (
+            "alarms?purpose=any",
+            422,
+            "no sets beside the plan, sets, features, shot_features, assessments have",
+        ),
         ("features?from_h=2&to_h=1", 422, "to_h"),
         ("features?format=xlsx", 422, "csv"),
     ],

@@ -97,7 +97,7 @@ def test_the_same_settings_change_nothing_and_leave_the_folder_as_it_is(line, ex
 
 
 def test_averages_of_an_earlier_version_are_no_difference(changed_line, line):
-    (row,) = [row for row in line.rows("verdicts", "B") if row.set_index == 20]
+    (row,) = [row for row in line.rows("assessments", "B") if row.set_index == 20]
     folder = changed_line(AssessmentRow, 20, averages=row.averages | {"changes_count": [5.0, 0.0]})
     assert replayed(folder, ()).differences == []
 
@@ -105,10 +105,14 @@ def test_averages_of_an_earlier_version_are_no_difference(changed_line, line):
 def test_a_replay_keeps_commands_and_empty_sets_in_their_order(life):
     found = replayed(life.folder, ())
     assert (found.differences, found.alarms.come, found.alarms.go, found.alarms.moved) == ([], [], [], [])
-    assert {item.kind for item in found.alarms.kept} == {"no_data", "retired", "not_judged"}
+    assert {item.kind for item in found.alarms.kept} == {
+        "few_valid_shots",
+        "transducer_disabled",
+        "not_assessed",
+    }
     # D has two consecutive poor sets in set 3, and was enabled before it had four.
     later = replayed(life.folder, ["quality.no_data_sets=4"]).alarms
-    assert raised_sets(later.go) == {("D", "no_data"): 3}
+    assert raised_sets(later.go) == {("D", "few_valid_shots"): 3}
 
 
 def test_a_setting_moves_an_alarm(line):
@@ -123,7 +127,7 @@ def test_a_setting_moves_an_alarm(line):
 def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(line):
     found = replayed(line.folder, ["baseline.hours=8"])
     words = list(in_words(found))
-    assert "stays  C hole: set 22, hour 11.51" in words
+    assert "stays  C no_reflection: set 22, hour 11.51" in words
     assert "baseline B: n_sets 15 -> 16" in words
     of_b = {(item.table, item.column): item for item in found.differences if item.position == "B"}
     assert (of_b["baseline", "n_sets"].stored, of_b["baseline", "n_sets"].again) == (15, 16)
@@ -132,7 +136,7 @@ def test_a_longer_baseline_is_reported_with_its_limits_and_changed_assessments(l
     # Set 15 was assessed and is now part of the baseline.
     assert of_b["assessment", "in_baseline"].n_rows == 1
     assert of_b["assessment", "in_baseline"].first_set_index == 15
-    assert "outlier, chart_alarm, in_baseline, outlier_paper, reason in set 15; " in "\n".join(words)
+    assert "outlier, mewma_alarm, in_baseline, outlier_mean_3sd, reason in set 15; " in "\n".join(words)
 
 
 @pytest.mark.parametrize(
@@ -203,7 +207,12 @@ def test_every_key_can_be_set_also_below_a_table_of_names(line):
 def test_alarms_of_the_same_set_are_paired_before_the_others():
     def onset(set_index, position="B"):
         return Onset(
-            position=position, kind="hole", set_index=set_index, hour=0.5, severity="high", message=""
+            position=position,
+            kind="no_reflection",
+            set_index=set_index,
+            hour=0.5,
+            priority="high",
+            message="",
         )
 
     found = alarm_changes([onset(3), onset(7), onset(9), onset(4, "C")], [onset(7), onset(5), onset(1, "D")])
@@ -257,7 +266,7 @@ def test_a_change_alarm_is_recomputed_on_a_self_contained_page(line, tmp_path):
 
 
 def test_a_hole_has_its_silent_shots_and_files_are_not_overwritten(line, tmp_path):
-    hole = alarm_id_of(line, "hole", "C")
+    hole = alarm_id_of(line, "no_reflection", "C")
     explanation = json.loads(explain(line.folder, hole, tmp_path, "--json").stdout)
     silent = {row["set_index"]: row["n"] for row in explanation["recomputed"]["shots_without_psw"]}
     assert explanation["agrees"]
@@ -287,7 +296,7 @@ def test_a_different_stored_value_is_reported_with_both_values(changed_line, lin
     [
         lambda row: approve(row, "ann", 2**60),
         lambda row: replace(
-            row, state="retired", retired_utc_ns=2**60, retired_by="ann", retired_because="coupled anew"
+            row, state="retired", retired_utc_ns=2**60, retired_by="ann", retired_reason="coupled anew"
         ),
     ],
     ids=["signed", "retired"],
@@ -343,7 +352,7 @@ def test_a_corrupt_shot_of_another_position_does_not_matter(position, code, line
 
 def test_an_alarm_from_a_command_is_shown_as_stored(life, tmp_path):
     explanation = json.loads(
-        explain(life.folder, alarm_id_of(life, "retired", "C"), tmp_path, "--json").stdout
+        explain(life.folder, alarm_id_of(life, "transducer_disabled", "C"), tmp_path, "--json").stdout
     )
     assert (explanation["agrees"], explanation["recomputed"]) == (None, None)
     assert "a person's order" in explanation["why_not_recomputed"]

@@ -1,0 +1,147 @@
+"""Describe a NeXus file before it is made: files of equal structure are filled copies of one skeleton.
+
+HDF5 takes far longer to create a dataset, its attributes and its scales than to write a few numbers into
+it. A skeleton has everything but the values and the attributes that differ from file to file. It depends on
+the structure alone, so the same content gives the same bytes whatever was made before.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import Any
+
+import orjson
+from h5py import h5d, h5g
+
+from daq_service.archive import nexus
+from daq_service.archive.nexus import Attribute
+
+_SKELETONS = 32
+"""Structures kept in memory, 0.2 MB each: they differ in the number of shots and the length of texts."""
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class Node:
+    """Group, dataset, or second name of a dataset in a draft.
+
+    Attributes
+    ----------
+    draft
+        All nodes in the order of their creation.
+    attributes
+        Those of every file of this structure.
+    own_attributes
+        Those that differ from file to file.
+    stored
+        Values of a dataset and their HDF5 type.
+    link
+        Path of the dataset that this second name leads to.
+    """
+
+    path: str
+    draft: list[Node]
+    attributes: dict[str, Attribute]
+    own_attributes: Mapping[str, Attribute] = field(default_factory=dict)
+    stored: nexus.Stored | None = None
+    chunk: tuple[int, ...] | None = None
+    axes: tuple[str, ...] = ()
+    is_axis: bool = False
+    link: str = ""
+
+    def add(self, name: str, attributes: Mapping[str, Attribute], **facts: Any) -> Node:
+        """Add a node below this one."""
+        path = f"{self.path}/{name}".lstrip("/")
+        self.draft.append(Node(path=path, draft=self.draft, attributes=dict(attributes), **facts))
+        return self.draft[-1]
+
+    @property
+    def structure(self) -> tuple[Any, ...]:
+        """Everything that the skeleton depends on."""
+        shape = self.stored and (self.stored[0].dtype.str, self.stored[0].shape)
+        return self.path, shape, self.chunk, self.axes, self.is_axis, self.link, self.attributes
+
+
+def new_draft(attributes: Mapping[str, Attribute], own_attributes: Mapping[str, Attribute]) -> Node:
+    """Start a draft; return its root."""
+    root = Node(path="", draft=[], attributes=dict(attributes), own_attributes=own_attributes)
+    root.draft.append(root)
+    return root
+
+
+def add_group(
+    parent: Node, name: str, nx_class: str, attributes: Mapping[str, Attribute] | None = None
+) -> Node:
+    """Add a group of a NeXus class."""
+    return parent.add(name, {"NX_class": nx_class, **(attributes or {})})
+
+
+def add_field(
+    parent: Node,
+    name: str,
+    values: Any,
+    *,
+    chunk: tuple[int, ...] | None = None,
+    axes: Sequence[Node] = (),
+    is_axis: bool = False,
+    own_attributes: Mapping[str, Attribute] | None = None,
+    **attributes: Attribute,
+) -> Node:
+    """Add a dataset, as `nexus.add_field` does in a file."""
+    return parent.add(
+        name,
+        attributes,
+        own_attributes=own_attributes or {},
+        stored=nexus.to_stored_form(values),
+        chunk=chunk,
+        axes=tuple(axis.path for axis in axes),
+        is_axis=is_axis,
+    )
+
+
+def image_of_draft(root: Node) -> bytes:
+    """Return the bytes of the file."""
+    structure = orjson.dumps([node.structure for node in root.draft], option=orjson.OPT_SERIALIZE_NUMPY)
+    file = nexus.opened_image(_skeleton(_Structure(structure, root.draft)), is_own=True, writable=True)
+    try:
+        groups: dict[str, h5g.GroupID] = {}
+        for node in root.draft:
+            if node.link:
+                continue
+            parent, _, name = node.path.rpartition("/")
+            if node.stored is None:
+                target = groups[node.path] = h5g.open(file, node.path.encode() or b"/")
+            else:
+                target = h5d.open(groups[parent], name.encode())
+                nexus.fill_field(target, node.stored, node.chunk)
+            nexus.set_attributes(target, node.own_attributes)
+        return nexus.image_of(file)
+    finally:
+        file.close()
+
+
+@dataclass(frozen=True, slots=True)
+class _Structure:
+    key: bytes
+    draft: Sequence[Node] = field(compare=False)
+
+
+@lru_cache(maxsize=_SKELETONS)
+def _skeleton(structure: _Structure) -> bytes:
+    """Return the bytes of a file without values."""
+    with nexus.image_file() as file:
+        made: dict[str, Any] = {"": nexus.open_root(file)}
+        nexus.set_attributes(made[""], structure.draft[0].attributes)
+        for node in structure.draft[1:]:
+            parent, _, name = node.path.rpartition("/")
+            if node.link:
+                nexus.add_hard_link(made[parent], name, file, node.link)
+            elif node.stored is None:
+                made[node.path] = nexus.create_group(made[parent], name, node.attributes)
+            else:
+                axes = [made[axis] for axis in node.axes]
+                made[node.path] = nexus.create_field(
+                    made[parent], name, node.stored, node.chunk, axes, node.is_axis, node.attributes
+                )
+        return nexus.image_of(file)

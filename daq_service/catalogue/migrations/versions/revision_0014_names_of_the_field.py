@@ -1,0 +1,116 @@
+"""Names of the field, identity of a test, thickness intervals, states of assessors.
+
+Rows whose names or values change get their checksums when all migrations are done (`seal_unsealed`).
+"""
+
+from __future__ import annotations
+
+import orjson
+import sqlalchemy as sa
+from alembic import op
+
+from daq_service.catalogue.connection import json_text
+from daq_service.catalogue.earlier_names import COLUMNS, current_row, derived_uuid
+
+revision = "0014"
+down_revision = "0013"
+
+_NESTED = {"baselines": ("baseline_quality",), "assessments": (), "alarms": ("evidence",)}
+_VALUES = {"sets": ("state",), "assessments": ("diagnosis",), "alarms": ("kind", "alarm_class")}
+_VALUES |= {"commands": ("kind",)}
+
+
+def upgrade() -> None:
+    connection = op.get_bind()
+    driver = connection.connection.driver_connection
+    assert driver is not None
+
+    def current_value(table: str, name: str, value: str | None) -> str | None:
+        return None if value is None else current_row(table, {name: value})[name]
+
+    def current_json(table: str, name: str, text: str | None) -> str | None:
+        return None if text is None else json_text(current_row(table, {name: orjson.loads(text)})[name])
+
+    def current_event(topic: str, kind: str, payload: str) -> str:
+        event = {"topic": topic, "kind": kind, "payload": orjson.loads(payload)}
+        return json_text(current_row("events", event)["payload"])
+
+    driver.create_function("current_value", 3, current_value, deterministic=True)
+    driver.create_function("current_json", 3, current_json, deterministic=True)
+    driver.create_function("current_event", 3, current_event, deterministic=True)
+    driver.create_function("derived_uuid", 2, derived_uuid, deterministic=True)
+    _rename_assessments()
+    for table, columns in COLUMNS.items():
+        for old, new in columns.items():
+            op.execute(f"ALTER TABLE {table} RENAME COLUMN {old} TO {new}")
+    for table, names in _VALUES.items():
+        for name in names:
+            op.execute(
+                f"UPDATE {table} SET {name} = current_value('{table}', '{name}', {name}), row_crc32 = NULL "
+                f"WHERE {name} IS NOT current_value('{table}', '{name}', {name})"
+            )
+    for table, names in _NESTED.items():
+        changes = [f"{name} = current_json('{table}', '{name}', {name})" for name in names]
+        op.execute(f"UPDATE {table} SET {', '.join([*changes, 'row_crc32 = NULL'])}")
+    op.execute(
+        "UPDATE events SET payload = current_event(topic, kind, payload), "
+        "topic = current_value('events', 'topic', topic), kind = current_value('events', 'kind', kind), "
+        "row_crc32 = NULL WHERE topic IN ('sets', 'verdicts', 'alarms', 'service')"
+    )
+    op.add_column("experiment", sa.Column("uuid", sa.String(), nullable=False, server_default=""))
+    op.add_column("experiment", sa.Column("site", sa.String(), nullable=True))
+    identity = "derived_uuid(configuration_hash, epoch_utc_ns)"
+    op.execute(f"UPDATE experiment SET uuid = {identity}, row_crc32 = NULL")
+    for name in ("interval_low_m", "interval_high_m"):
+        op.add_column("thickness", sa.Column(name, sa.Float(), nullable=True))
+    # The recorder computes the states of an older folder once.
+    op.create_table(
+        "assessor_states",
+        sa.Column("place", sa.String(), nullable=False),
+        sa.Column("position", sa.String(), nullable=False),
+        sa.Column("baseline_id", sa.Integer(), nullable=True),
+        sa.Column("configuration_hash", sa.String(64), nullable=False),
+        sa.Column("format", sa.Integer(), nullable=False),
+        sa.Column("state", sa.String(), nullable=False),
+        sa.Column("row_crc32", sa.BigInteger(), nullable=True),
+        sa.PrimaryKeyConstraint("place", name=op.f("pk_assessor_states")),
+    )
+
+
+def _rename_assessments() -> None:
+    """Copy table `verdicts`, as the names of its constraints change with the table."""
+    op.create_table(
+        "assessments",
+        sa.Column("id", sa.Integer(), nullable=False),
+        sa.Column("set_index", sa.Integer(), nullable=False),
+        sa.Column("position", sa.String(), nullable=False),
+        sa.Column("due_h", sa.Float(), nullable=False),
+        sa.Column("baseline_id", sa.Integer(), nullable=True),
+        sa.Column("in_baseline", sa.Boolean(), nullable=False),
+        sa.Column("distance_squared", sa.Float(), nullable=True),
+        sa.Column("limit_name", sa.String(), nullable=False),
+        sa.Column("limit_f", sa.Float(), nullable=True),
+        sa.Column("limit_paper", sa.Float(), nullable=True),
+        sa.Column("outlier", sa.Boolean(), nullable=True),
+        sa.Column("outlier_paper", sa.Boolean(), nullable=True),
+        sa.Column("reason", sa.String(), nullable=True),
+        sa.Column("contributions", sa.JSON(none_as_null=True), nullable=True),
+        sa.Column("row_crc32", sa.BigInteger(), nullable=True),
+        sa.Column("statistics", sa.JSON(none_as_null=True), nullable=True),
+        sa.Column("limits", sa.JSON(none_as_null=True), nullable=True),
+        sa.Column("averages", sa.JSON(none_as_null=True), nullable=True),
+        sa.Column("chart", sa.Float(), nullable=True),
+        sa.Column("chart_alarm", sa.Boolean(), nullable=True),
+        sa.Column("cause", sa.String(), nullable=True),
+        sa.Column("cause_probability", sa.Float(), nullable=True),
+        sa.Column("cause_told", sa.JSON(none_as_null=True), nullable=True),
+        sa.Column("confirms", sa.Boolean(), nullable=True),
+        sa.ForeignKeyConstraint(
+            ["baseline_id"], ["baselines.id"], name=op.f("fk_assessments_baseline_id_baselines")
+        ),
+        sa.PrimaryKeyConstraint("id", name=op.f("pk_assessments")),
+        sa.UniqueConstraint("position", "set_index", name="uq_assessments_position_set_index"),
+    )
+    op.execute("INSERT INTO assessments SELECT * FROM verdicts")
+    op.drop_table("verdicts")
+    op.create_index("ix_assessments_set_index", "assessments", ["set_index"])
