@@ -26,7 +26,7 @@ AFTER_COMPILATION = "test_wheel.py"
 """Takes along the kernels that the tests before it have compiled."""
 
 
-def pytest_configure(config: pytest.Config) -> None:
+def pytest_configure(config):
     # A shell ignores Ctrl-C for what it runs in the background, and our processes keep what is ignored.
     is_ignored = signal.getsignal(signal.SIGINT) is signal.SIG_IGN
     if is_ignored and threading.current_thread() is threading.main_thread():
@@ -39,16 +39,16 @@ def pytest_configure(config: pytest.Config) -> None:
     config.pluginmanager.register(HangGuard(), "hang-guard")
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish():
     # Thousands of tests that never change would be searched for garbage again and again.
     gc.collect()
     gc.freeze()
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     here = Path(__file__).parent
 
-    def turn(item: pytest.Item) -> int:
+    def turn(item):
         short = here in item.path.parents and item.path.relative_to(here).parts[0] in LAST
         return 2 if short else 1 if item.path.name == AFTER_COMPILATION else 0
 

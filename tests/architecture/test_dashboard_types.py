@@ -12,7 +12,7 @@ TSC = shutil.which("tsc")
 
 @pytest.mark.slow
 @pytest.mark.skipif(TSC is None, reason="no tsc on the path (npm install --global typescript)")
-def test_the_types_of_the_dashboard_hold() -> None:
+def test_the_types_of_the_dashboard_hold():
     done = subprocess.run(
         [TSC, "--project", FOLDER / "jsconfig.json"], capture_output=True, text=True, check=False
     )

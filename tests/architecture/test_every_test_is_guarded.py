@@ -126,7 +126,7 @@ HANGS = {
 
 
 @pytest.fixture(scope="module")
-def failures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+def failures(tmp_path_factory):
     """Run these tests like the suite; return the failure message of each, "" if it passed."""
     folder = tmp_path_factory.mktemp("guarded")
     for name, text in (("conftest", CONFTEST), ("test_wrongdoers", WRONGDOERS), ("test_wide", WIDE)):
@@ -148,32 +148,32 @@ def failures(tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
     }
 
 
-def test_a_thread_left_behind_fails_its_test(failures: dict[str, str]) -> None:
+def test_a_thread_left_behind_fails_its_test(failures):
     assert "left behind: thread 'forgotten'" in failures["test_leaves_a_thread"]
     assert failures["test_ends_all_in_time"] == ""
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="orphans and open files are looked up in /proc")
-def test_a_process_or_an_open_file_left_behind_fails_its_test(failures: dict[str, str]) -> None:
+def test_a_process_or_an_open_file_left_behind_fails_its_test(failures):
     assert "; process " in failures["test_leaves_a_process"]
     assert "process " in failures["test_leaves_an_orphan"]
     assert "test_wrongdoers.py)" in failures["test_leaves_an_open_file"]
 
 
-def test_a_module_fixture_may_keep_its_threads_until_it_ends(failures: dict[str, str]) -> None:
+def test_a_module_fixture_may_keep_its_threads_until_it_ends(failures):
     assert failures["test_the_pool_grows"] == ""
     assert "left behind: thread 'forgotten'" in failures["test_is_the_last_with_the_pool"]
     assert "::test_leaves_a_thread_beside_the_pool" in failures["test_is_the_last_with_the_pool"]
     assert "ThreadPool" not in failures["test_is_the_last_with_the_pool"]
 
 
-def test_a_warning_that_cannot_be_caught_fails_its_test(failures: dict[str, str]) -> None:
+def test_a_warning_that_cannot_be_caught_fails_its_test(failures):
     assert "PytestUnraisableExceptionWarning" in failures["test_drops_an_open_file"]
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="there the time limit is no signal")
 @pytest.mark.parametrize("hang", HANGS.values(), ids=HANGS.keys())
-def test_a_test_that_nothing_can_interrupt_ends_its_process(hang: str, tmp_path: Path) -> None:
+def test_a_test_that_nothing_can_interrupt_ends_its_process(hang, tmp_path):
     (tmp_path / "conftest.py").write_text(CONFTEST_OF_THE_DEAF, encoding="utf-8")
     (tmp_path / "test_deaf.py").write_text(DEAF.format(hang=hang), encoding="utf-8")
     done = subprocess.run(
@@ -188,6 +188,6 @@ def test_a_test_that_nothing_can_interrupt_ends_its_process(hang: str, tmp_path:
     assert "in test_hears_no_signal" in done.stderr
 
 
-def test_every_test_has_a_time_limit(failures: dict[str, str], request: pytest.FixtureRequest) -> None:
+def test_every_test_has_a_time_limit(failures, request):
     assert "Timeout" in failures["test_hangs"]
     assert 0.0 < float(request.config.getini("timeout")) <= 300.0

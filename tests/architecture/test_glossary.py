@@ -11,14 +11,14 @@ ROWS = [
 ]
 
 
-def test_each_term_is_defined_once_in_one_sentence() -> None:
+def test_each_term_is_defined_once_in_one_sentence():
     terms = [term for row in ROWS for term in row[0].removeprefix("| ").split(", ")]
     assert len(terms) > 60
     assert sorted(terms) == sorted(set(terms))
     assert [row[0] for row in ROWS if not re.fullmatch(r"[A-Z][^.]*\.", row[1])] == []
 
 
-def test_the_keys_of_today_are_keys_of_the_code() -> None:
+def test_the_keys_of_today_are_keys_of_the_code():
     files = [path for name in ("daq_service", "analysis") for path in (ROOT / name).rglob("*.py")]
     code = "\n".join(path.read_text(encoding="utf-8") for path in files)
     keys = {key.rpartition(".")[0] or key for row in ROWS for key in re.findall(r"`([^`]+)`", row[-1])}

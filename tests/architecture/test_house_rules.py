@@ -31,13 +31,13 @@ def test_house_rules_hold(command: list[str]) -> None:
     assert done.returncode == 0, done.stdout + done.stderr
 
 
-def test_the_readme_s_commands_are_one_line_each() -> None:
+def test_the_readme_s_commands_are_one_line_each():
     lines = (ROOT / "README.md").read_text(encoding="utf-8").splitlines()
     assert "python -m pip install -c constraints.txt -e . && solimon demo" in lines
     assert 'python -m pip install -c constraints.txt -e ".[test]" && pytest -n 4 --dist loadfile' in lines
 
 
-def test_no_two_test_files_have_one_name() -> None:
+def test_no_two_test_files_have_one_name():
     """Pytest imports them by their names alone, and fails where one is met twice."""
     names = Counter(path.name for path in (ROOT / "tests").rglob("test_*.py"))
     assert [name for name, count in names.items() if count > 1] == []

@@ -15,7 +15,7 @@ LINE_FAULTS = mutants("line")
 FEWEST = 40
 
 
-def test_every_fault_is_one_change_of_code() -> None:
+def test_every_fault_is_one_change_of_code():
     assert len(FAULTS) >= FEWEST
     for one in FAULTS + LINE_FAULTS:
         lines = one.patch.read_text(encoding="utf-8").splitlines()
@@ -26,7 +26,7 @@ def test_every_fault_is_one_change_of_code() -> None:
 
 
 @pytest.mark.parametrize("fault", FAULTS + LINE_FAULTS, ids=lambda fault: fault.name)
-def test_a_fault_applies_and_the_test_that_notices_it_is_there(fault) -> None:
+def test_a_fault_applies_and_the_test_that_notices_it_is_there(fault):
     try:
         apply(fault.patch, ROOT, "--check")
     except subprocess.CalledProcessError as error:
@@ -46,7 +46,7 @@ def test_a_fault_applies_and_the_test_that_notices_it_is_there(fault) -> None:
 @pytest.mark.parametrize(
     ("options", "faults"), [([], FAULTS), (["--line"], LINE_FAULTS)], ids=["unit", "line"]
 )
-def test_every_fault_is_noticed_by_the_test_that_it_names(options: list[str], faults: list) -> None:
+def test_every_fault_is_noticed_by_the_test_that_it_names(options, faults):
     command = [sys.executable, ROOT / "tests" / "mutants" / "run.py", "--json", *options]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

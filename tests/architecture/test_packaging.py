@@ -22,7 +22,7 @@ SYSTEMS = {
 }
 
 
-def test_everything_installed_is_pinned() -> None:
+def test_everything_installed_is_pinned():
     here = installed()
     for name in brought():
         version = here[name].version
@@ -32,7 +32,7 @@ def test_everything_installed_is_pinned() -> None:
 
 @pytest.mark.parametrize("system", SYSTEMS)
 @pytest.mark.parametrize("python", sorted(set(TESTED_ON)))
-def test_packages_for_another_system_are_pinned_for_it(system: str, python: str) -> None:
+def test_packages_for_another_system_are_pinned_for_it(system, python):
     """By what the installed packages say that they need there."""
     here = {**SYSTEMS[system], "python_version": python, "python_full_version": f"{python}.0"}
     found = {(name, str(wanted)): wanted for extra in EXTRAS for name, wanted in needs(extra, here)}
@@ -48,7 +48,7 @@ def test_packages_for_another_system_are_pinned_for_it(system: str, python: str)
     assert len(found) > 100
 
 
-def test_classifiers_name_the_versions_that_the_tests_run_on() -> None:
+def test_classifiers_name_the_versions_that_the_tests_run_on():
     named = {
         item.rpartition(" ")[2]
         for item in PROJECT["classifiers"]
@@ -58,7 +58,7 @@ def test_classifiers_name_the_versions_that_the_tests_run_on() -> None:
     assert PROJECT["requires-python"] == f">={min(TESTED_ON)}"
 
 
-def test_licences_are_listed_as_the_packages_state_them() -> None:
+def test_licences_are_listed_as_the_packages_state_them():
     page = (ROOT / "docs/reference/licences.md").read_text(encoding="utf-8")
     listed = {name: row for row, name in re.findall(r"^(\| ([a-z0-9-]+) \|.*\|)$", page, flags=re.MULTILINE)}
     for name, row in rows().items():

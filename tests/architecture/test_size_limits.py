@@ -1,7 +1,6 @@
 """Limits of classes, functions and parameters, and the exceptions with a reason for each."""
 
 import ast
-from collections.abc import Iterator
 from pathlib import Path
 
 ROOT = Path(__file__).parents[2]
@@ -61,7 +60,7 @@ EXCEPTIONS = {
 }
 
 
-def too_long(node: ast.AST, outer: str = "") -> Iterator[tuple[str, str]]:
+def too_long(node, outer=""):
     """Yield qualified name and kind of each limit that a definition in a module exceeds."""
     for inner in ast.iter_child_nodes(node):
         name = outer
@@ -81,7 +80,7 @@ def too_long(node: ast.AST, outer: str = "") -> Iterator[tuple[str, str]]:
         yield from too_long(inner, name)
 
 
-def test_classes_functions_and_parameters_stay_within_their_limits() -> None:
+def test_classes_functions_and_parameters_stay_within_their_limits():
     found = {
         (path.relative_to(ROOT).as_posix(), name, kind)
         for package in PACKAGES
@@ -92,7 +91,7 @@ def test_classes_functions_and_parameters_stay_within_their_limits() -> None:
     assert sorted(EXCEPTIONS.keys() - found) == [], "no longer an exception"
 
 
-def test_the_main_module_of_the_recording_line_names_its_stages_in_order() -> None:
+def test_the_main_module_of_the_recording_line_names_its_stages_in_order():
     text = (ROOT / "daq_service/recording/recorder.py").read_text(encoding="utf-8")
     (recorder,) = (node for node in ast.parse(text).body if isinstance(node, ast.ClassDef))
     names = [node.name for node in recorder.body if isinstance(node, ast.FunctionDef)]

@@ -5,7 +5,6 @@ import os
 import subprocess
 import sys
 from dataclasses import dataclass
-from typing import Any
 
 import pytest
 from support.small_experiment import SMALL
@@ -59,9 +58,9 @@ WIRED = {
 PROBE = {"probes": {"A": {"resource": "PXI1Slot5"}}}
 OVER_GRPC = {"transport": "grpc", "grpc_address": "localhost:1", "transducers": WIRED}
 TDMS = {"source": "old.tdms", "format": "tdms"}
-BY_GRPC: dict[str, Any] = {"kind": "daqmx", "daqmx": OVER_GRPC, "niscope": PROBE}
-BY_LIBRARY: dict[str, Any] = {"kind": "daqmx", "daqmx": {"transducers": WIRED}, "niscope": PROBE}
-COMMANDS: dict[str, tuple[dict[str, Any], list[str] | None]] = {
+BY_GRPC = {"kind": "daqmx", "daqmx": OVER_GRPC, "niscope": PROBE}
+BY_LIBRARY = {"kind": "daqmx", "daqmx": {"transducers": WIRED}, "niscope": PROBE}
+COMMANDS = {
     # First, before anything of a vendor is imported. None: all of them are missing.
     "simulated": ({"schedule": {**SMALL["schedule"], "end_h": 1.0}}, None),
     "grpc": ({"rig": BY_GRPC, "clock": {"kind": "wall"}}, ["grpc"]),
@@ -71,7 +70,7 @@ COMMANDS: dict[str, tuple[dict[str, Any], list[str] | None]] = {
 
 
 @pytest.fixture(scope="module")
-def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recorded]:
+def recorded(tmp_path_factory):
     folder = tmp_path_factory.mktemp("recorded")
     (folder / "old.tdms").touch()
     (folder / "no-programs").mkdir()
@@ -95,7 +94,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Recorded]:
     return {name: Recorded(*one) for name, one in zip(COMMANDS, records, strict=True)}
 
 
-def test_a_simulated_test_needs_no_vendor_package_and_no_compiler(recorded: dict[str, Recorded]) -> None:
+def test_a_simulated_test_needs_no_vendor_package_and_no_compiler(recorded):
     done = recorded["simulated"]
     # On a busy machine it reports what it compiles once.
     once = ("compiling the twin's loops", "building the twin's plates")
@@ -103,20 +102,20 @@ def test_a_simulated_test_needs_no_vendor_package_and_no_compiler(recorded: dict
     assert (done.code, messages, done.asked) == (0, ["hour 0.5, set 1 of 2", "hour 1.0, set 2 of 2"], [])
 
 
-def test_a_missing_extra_is_named_with_its_remedy(recorded: dict[str, Recorded]) -> None:
+def test_a_missing_extra_is_named_with_its_remedy(recorded):
     done = recorded["grpc"]
     assert (done.code, done.asked) == (3, ["grpc"])
     assert "solimon[grpc]" in done.stderr
 
 
-def test_a_missing_driver_is_named_with_its_remedy(recorded: dict[str, Recorded]) -> None:
+def test_a_missing_driver_is_named_with_its_remedy(recorded):
     done = recorded["library"]
     assert done.code == 3
     assert "NI-DAQmx" in done.stderr
     assert "install" in done.stderr
 
 
-def test_a_recording_of_labview_needs_its_extra(recorded: dict[str, Recorded]) -> None:
+def test_a_recording_of_labview_needs_its_extra(recorded):
     done = recorded["tdms"]
     assert (done.code, done.asked) == (2, ["nptdms"])
     assert "solimon[tdms]" in done.stderr

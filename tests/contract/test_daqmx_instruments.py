@@ -1,7 +1,5 @@
 """Digitizer and striker on NI-DAQmx keep the contracts, by library and by gRPC, on doubles of NI's driver."""
 
-from __future__ import annotations
-
 import pytest
 from support.daqmx_models import running_brain
 from support.daqmx_rig import TRANSPORTS, meet, parameters_of, quick_description, why_no

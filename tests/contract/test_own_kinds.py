@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -17,9 +16,9 @@ from support.serial_rig import NO_TERMINALS, SerialRig
 from support.small_experiment import small_settings
 
 from hardware_drivers.conformance.bench import Bench, MachineClock
-from hardware_drivers.conformance.kind_contract import KindContract, Open
+from hardware_drivers.conformance.kind_contract import KindContract
 from hardware_drivers.conformance.safety_contract import SafetyContract
-from hardware_drivers.kinds import Kind, Opening, Role
+from hardware_drivers.kinds import Opening, Role
 from hardware_drivers.plug_ins import find_kind
 
 DESCRIPTION = quick_description()
@@ -37,7 +36,7 @@ class Own:
     experiment: dict[str, Any]
 
 
-def plain(parameters: Any) -> dict[str, Any]:
+def plain(parameters):
     return TypeAdapter(type(parameters)).dump_python(parameters, mode="json")
 
 
@@ -50,7 +49,7 @@ def doubles():
 @pytest.fixture
 def daqmx(doubles, monkeypatch):
     meet(doubles, monkeypatch)
-    struck: dict[Role, tuple[str, ...]] = {"digitizer": ("C", "D"), "striker": ("C", "D")}
+    struck = {"digitizer": ("C", "D"), "striker": ("C", "D")}
     yield Own(name="daqmx", table=plain(parameters_of(DESCRIPTION, doubles)), serves=struck, experiment={})
     record = doubles.control.record()
     assert (record["tasks"], record["reservations"]) == ([], {})
@@ -59,14 +58,14 @@ def daqmx(doubles, monkeypatch):
 @pytest.fixture
 def simulated():
     settings = small_settings(plate={"model": "infinite_kirchhoff"})
-    serves: dict[Role, tuple[str, ...]] = {"digitizer": ("B",), "striker": ("B",), "pulse_echo": ("A",)}
+    serves = {"digitizer": ("B",), "striker": ("B",), "pulse_echo": ("A",)}
     return Own(name="simulated", table={}, serves=serves, experiment=settings.model_dump(mode="json"))
 
 
 @pytest.fixture
 def playback(tmp_path):
     FiledArchive(tmp_path).store_set(make_set())
-    serves: dict[Role, tuple[str, ...]] = {"digitizer": ("B",), "striker": ("B",), "pulse_echo": ("A",)}
+    serves = {"digitizer": ("B",), "striker": ("B",), "pulse_echo": ("A",)}
     experiment = small_settings().model_dump(mode="json")
     return Own(name="playback", table={"source": str(tmp_path)}, serves=serves, experiment=experiment)
 
@@ -95,23 +94,23 @@ class OfOurs:
     """Answers to the queries of the conformance rules."""
 
     @pytest.fixture
-    def kind(self, own: Own) -> Kind[Any]:
+    def kind(self, own):
         return find_kind(own.name)[0]
 
     @pytest.fixture
-    def module(self, own: Own) -> str:
+    def module(self, own):
         return next(iter(find_kind(own.name)[1].by_role.values())).module
 
     @pytest.fixture
-    def table(self, own: Own) -> dict[str, Any]:
+    def table(self, own):
         return own.table
 
     @pytest.fixture
-    def opening(self, own: Own) -> Opening:
+    def opening(self, own):
         return Opening(clock=MachineClock(), serves=own.serves, experiment=own.experiment, boot_id="test")
 
     @pytest.fixture
-    def open_kind(self, kind: Kind[Any], table: dict[str, Any], opening: Opening) -> Open:
+    def open_kind(self, kind, table, opening):
         parameters = TypeAdapter(kind.parameters).validate_python(table)
         return lambda: kind.open(parameters, opening)
 
@@ -126,7 +125,7 @@ class TestOurKinds(OfOurs, KindContract):
             pytest.param("text_climate", marks=on_terminals),
         ]
     )
-    def own(self, request: pytest.FixtureRequest) -> Own:
+    def own(self, request):
         return request.getfixturevalue(request.param)
 
 
@@ -136,19 +135,19 @@ class TestTextInstrumentsAtAPulledCable(OfOurs, SafetyContract):
     test_after_an_error_every_coil_is_off = None  # and have no coils
 
     @pytest.fixture(params=["text_supply", "text_climate"])
-    def own(self, request: pytest.FixtureRequest) -> Own:
+    def own(self, request):
         return request.getfixturevalue(request.param)
 
     @pytest.fixture
-    def fault(self) -> str:
+    def fault(self):
         return "unplugged"
 
     @pytest.fixture
-    def bench(self, own: Own, serial_rig: SerialRig) -> Bench:
+    def bench(self, own, serial_rig):
         links = serial_rig.instruments.supply_link, serial_rig.instruments.climate_link
 
         @contextmanager
-        def fault(name: str) -> Iterator[None]:
+        def fault(name):
             for link in links:
                 link.unplug()
             yield

@@ -6,15 +6,10 @@ lets the same noise fall into other means. A spike lasts until it has fallen to 
 time is its decay to 1/e, so that what is left of the longest ones is still under the wave.
 """
 
-from __future__ import annotations
-
 import itertools
 import json
 import math
-from collections.abc import Iterator
 from dataclasses import asdict, replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 from support.daqmx_models import running_brain
@@ -35,12 +30,9 @@ from support.waiting import happened
 from analysis.waves.features import extract_features
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.cli.doctor.spike import proposed_ringing_s, survey_coil
-from hardware_drivers.daqmx import DaqmxParameters, open_daqmx
-from hardware_drivers.instruments import Acquired
+from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.crosstalk import Crosstalk
-from simulator.doubles.chassis.description import Description
-from simulator.doubles.transports.control import RunningDoubles
 from simulator.parameters.electronics import NoiseParameters
 
 DROP_M = 5e-3
@@ -54,9 +46,8 @@ DESCRIPTION = replace(
     QUICK, transducers={"C": replace(QUICK.transducers["C"], chain=replace(CHAIN, drop_height_m=DROP_M))}
 )
 
-Case = tuple[str, float, float, float]
 HEIGHTS_V, LASTING_S = (0.05, 0.3, 1.0, 5.0), (1e-6, 50e-6, 0.5e-3, 2e-3, 5e-3)
-CASES: list[Case] = [
+CASES = [
     (edge, height_v, lasting_s, ringing_hz)
     for (height_v, lasting_s), (edge, ringing_hz) in zip(
         itertools.product(HEIGHTS_V, LASTING_S),
@@ -65,7 +56,7 @@ CASES: list[Case] = [
     )
 ]
 """Every height with every duration, over both edges, with and without ringing."""
-SHORT: list[Case] = [
+SHORT = [
     ("on_v", 0.05, 5e-3, 0.0),
     ("on_v", 5.0, 1e-6, 0.0),
     ("off_v", 0.3, 2e-6, 0.0),
@@ -75,15 +66,13 @@ SHORT: list[Case] = [
 
 
 @pytest.fixture(scope="module")
-def doubles() -> Iterator[RunningDoubles]:
+def doubles():
     with running_brain(DESCRIPTION) as running:
         yield running
 
 
 @pytest.fixture(params=["library", "grpc"])
-def parameters(
-    request: pytest.FixtureRequest, doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch
-) -> Iterator[DaqmxParameters]:
+def parameters(request, doubles, monkeypatch):
     if reason := why_no(request.param):
         pytest.skip(reason)
     if request.param == "library":
@@ -93,20 +82,18 @@ def parameters(
     doubles.control.disturb("C", Crosstalk())
 
 
-def landed(doubles: RunningDoubles) -> None:
+def landed(doubles):
     """Wait until the ball has landed: it still falls when a record that a spike triggered is read."""
     happened(doubles.control.wait_until_quiet, "the striker landed")
 
 
-def crosstalk_of(case: Case, *, noisy: bool) -> Crosstalk:
+def crosstalk_of(case, *, noisy):
     edge, height_v, lasting_s, ringing_hz = case
     decay_s = lasting_s if noisy else lasting_s / math.log(100.0)
     return Crosstalk(**{edge: height_v}, decay_s=decay_s, ringing_hz=ringing_hz)
 
 
-def shots_of(
-    parameters: DaqmxParameters, doubles: RunningDoubles, shots: range, case: int
-) -> list[tuple[ShotKey, Acquired]]:
+def shots_of(parameters, doubles, shots, case):
     taken = []
     with open_daqmx(parameters) as rig:
         for shot in shots:
@@ -117,16 +104,10 @@ def shots_of(
     return taken
 
 
-def wrong_with(
-    parameters: DaqmxParameters,
-    doubles: RunningDoubles,
-    cases: list[Case],
-    shots: int,
-    description: Description = DESCRIPTION,
-) -> tuple[list[str], int]:
+def wrong_with(parameters, doubles, cases, shots, description=DESCRIPTION):
     """Survey each case, apply its proposal and shoot; return lost or wrong shots and the number of shots."""
     seen_v = SEEN_V if description.twin.noise.enabled else 0.0
-    wrong: list[str] = []
+    wrong = []
     taken = 0
     for number, case in enumerate(cases):
         edge, height_v, _, _ = case
@@ -152,27 +133,21 @@ def wrong_with(
     return wrong, taken
 
 
-def test_with_the_survey_s_own_proposal_no_shot_is_lost_or_mistaken(
-    doubles: RunningDoubles, parameters: DaqmxParameters
-) -> None:
+def test_with_the_survey_s_own_proposal_no_shot_is_lost_or_mistaken(doubles, parameters):
     wrong, taken = wrong_with(parameters, doubles, SHORT, 5)
     assert not wrong, "\n".join(wrong)
     assert taken == 25, "fifty by both transports"
 
 
 @pytest.mark.slow
-def test_with_the_survey_s_own_proposal_none_of_a_thousand_is_lost_or_mistaken(
-    doubles: RunningDoubles, parameters: DaqmxParameters
-) -> None:
+def test_with_the_survey_s_own_proposal_none_of_a_thousand_is_lost_or_mistaken(doubles, parameters):
     wrong, taken = wrong_with(parameters, doubles, CASES, 25)
     assert not wrong, "\n".join(wrong)
     assert taken == 500, "a thousand by both transports"
 
 
 @pytest.mark.parametrize("parameters", TRANSPORTS, indirect=True)
-def test_without_a_holdoff_the_shots_are_lost_and_the_survey_says_why(
-    doubles: RunningDoubles, parameters: DaqmxParameters
-) -> None:
+def test_without_a_holdoff_the_shots_are_lost_and_the_survey_says_why(doubles, parameters):
     """0.3 V takes every shot, 0.15 V none."""
     for height_v, lost in ((0.3, True), (0.15, False)):
         landed(doubles)
@@ -186,9 +161,7 @@ def test_without_a_holdoff_the_shots_are_lost_and_the_survey_says_why(
 # The doctor -----------------------------------------------------------------------------------------
 
 
-def doctor(
-    capsys: pytest.CaptureFixture[str], folder: Path, doubles: RunningDoubles, **changes: Any
-) -> tuple[int, dict[str, dict[str, Any]], str]:
+def doctor(capsys, folder, doubles, **changes):
     """Return exit code, checks by name, and the same report as text; changes apply to [rig.daqmx]."""
     boards = asdict(parameters_of(DESCRIPTION, doubles, drop_height_m=DROP_M, **changes))
     values = {

@@ -3,11 +3,9 @@
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
 from contextlib import contextmanager, redirect_stdout
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.daqmx_models import in_a_process, running_brain
@@ -44,7 +42,7 @@ TERMINALS = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there
 
 
 @contextmanager
-def bench_supply(folder: Path, resistance_ohm: float) -> Iterator[SerialRig]:
+def bench_supply(folder, resistance_ohm):
     """Run a supply with a resistor at its output, and a driver without their parameters."""
     with SerialRig(folder) as bench:
         load = Cell(counter_voltage_v=0.0, resistance_ohm=resistance_ohm, rise_per_h=0.0)
@@ -53,7 +51,7 @@ def bench_supply(folder: Path, resistance_ohm: float) -> Iterator[SerialRig]:
         yield bench
 
 
-def run_pytest(environment: Mapping[str, str], printed: Path, files: str = "tests/hardware") -> None:
+def run_pytest(environment, printed, files="tests/hardware"):
     """Run `pytest -m hardware` in a child with this environment."""
     for name in [name for name in os.environ if name.startswith("SOLIMON_TEST_")]:
         del os.environ[name]
@@ -81,9 +79,7 @@ def run_pytest(environment: Mapping[str, str], printed: Path, files: str = "test
         )
 
 
-def day_one(
-    environment: Mapping[str, str], folder: Path, files: str = "tests/hardware"
-) -> tuple[dict[str, int], str]:
+def day_one(environment, folder, files="tests/hardware"):
     """Return the number of tests by outcome, and the output."""
     ended(in_a_process(run_pytest, environment, folder / "printed.txt", files), "the hardware tests' end")
     printed = (folder / "printed.txt").read_text(encoding="utf-8")
@@ -91,13 +87,13 @@ def day_one(
     return {state: int(number) for number, state in counts}, printed
 
 
-def test_without_a_rig_every_test_is_skipped_with_its_reason(tmp_path: Path) -> None:
+def test_without_a_rig_every_test_is_skipped_with_its_reason(tmp_path):
     counts, printed = day_one({}, tmp_path)
     assert set(counts) == {"skipped"}
     assert "SOLIMON_TEST_HARDWARE names no configuration of a real rig" in printed
 
 
-def configured(folder: Path, rig: Mapping[str, Any]) -> Path:
+def configured(folder, rig):
     """Write the configuration of a laboratory with these instruments."""
     config = folder / "laboratory.json"
     positions = {name: {"method": "solitary_wave"} for name in DESCRIPTION.transducers}
@@ -113,7 +109,7 @@ def configured(folder: Path, rig: Mapping[str, Any]) -> Path:
 
 @LIBRARY
 @TERMINALS
-def test_checks_without_a_wire_pass_on_doubles_and_strike_each_transducer_thrice(tmp_path: Path) -> None:
+def test_checks_without_a_wire_pass_on_doubles_and_strike_each_transducer_thrice(tmp_path):
     with running_brain(DESCRIPTION) as doubles, bench_supply(tmp_path, LOAD_OHM) as bench:
         boards = asdict(parameters_of(DESCRIPTION, doubles))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})
@@ -136,7 +132,7 @@ def test_checks_without_a_wire_pass_on_doubles_and_strike_each_transducer_thrice
 
 @LIBRARY
 @TERMINALS
-def test_a_supply_with_another_load_than_configured_fails_and_stays_off(tmp_path: Path) -> None:
+def test_a_supply_with_another_load_than_configured_fails_and_stays_off(tmp_path):
     with bench_supply(tmp_path, 0.5 * LOAD_OHM) as bench:
         boards = asdict(parameters_of(DESCRIPTION, None))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})
@@ -150,7 +146,7 @@ def test_a_supply_with_another_load_than_configured_fails_and_stays_off(tmp_path
 
 @LIBRARY
 @TERMINALS
-def test_nothing_is_energized_without_a_configured_load(tmp_path: Path) -> None:
+def test_nothing_is_energized_without_a_configured_load(tmp_path):
     with bench_supply(tmp_path, LOAD_OHM) as bench:
         boards = asdict(parameters_of(DESCRIPTION, None))
         config = configured(tmp_path, {"daqmx": boards, "supply": asdict(bench.supply_parameters)})

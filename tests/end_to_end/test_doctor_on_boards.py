@@ -5,10 +5,8 @@ import re
 import subprocess
 import sys
 import textwrap
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.daqmx_models import running_brain
@@ -30,9 +28,7 @@ from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.processes.data_folder import prepare_data_folder
 from daq_service.settings.file import load_settings
-from daq_service.settings.tree import Settings
-from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW, Description
-from simulator.doubles.transports.control import RunningDoubles
+from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW
 from simulator.doubles.transports.library import why_unavailable
 from simulator.parameters.electronics import NoiseParameters
 
@@ -46,25 +42,23 @@ SAFETY_PAGE = Path(__file__).parents[2] / "docs/how-to/be-safe.md"
 
 
 @pytest.fixture(scope="module")
-def running() -> Iterator[RunningDoubles]:
+def running():
     with running_brain(DESCRIPTION) as doubles:
         yield doubles
 
 
 @pytest.fixture
-def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> RunningDoubles:
+def doubles(running, monkeypatch):
     meet(running, monkeypatch)
     running.control.clear_faults()
     running.control.clear_record()
     return running
 
 
-def configuration(
-    folder: Path, doubles: RunningDoubles, description: Description = DESCRIPTION, **changes: Any
-) -> Path:
+def configuration(folder, doubles, description=DESCRIPTION, **changes):
     """Write the configuration file of a wall-clock test on these doubles; changes apply to [rig.daqmx]."""
     boards = asdict(replace(parameters_of(description, doubles), **changes))
-    values: dict[str, Any] = {
+    values = {
         "clock": {"kind": "wall"},
         "schedule": {
             "phases": [{"until_h": 0.0008, "interval_h": 0.0004}],
@@ -80,9 +74,7 @@ def configuration(
     return path
 
 
-def doctor(
-    capsys: pytest.CaptureFixture[str], config: Path, folder: Path, strike: str | None = None
-) -> tuple[int, dict[str, dict[str, Any]], dict[str, Any]]:
+def doctor(capsys, config, folder, strike=None):
     """Return exit code, checks by name, and the complete report."""
     code = run_doctor(config=config, data_dir=folder, strike=strike, as_json=True)
     report = json.loads(capsys.readouterr().out)
@@ -90,9 +82,7 @@ def doctor(
     return code, {check["name"]: check for check in report["checks"]}, report
 
 
-def test_a_sound_rig_is_checked_completely_and_nothing_is_energized(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_sound_rig_is_checked_completely_and_nothing_is_energized(doubles, tmp_path, capsys):
     code, checks, report = doctor(capsys, configuration(tmp_path, doubles), tmp_path / "data")
     assert code == 0, [check for check in checks.values() if check["state"] == "fail"]
     serial = f"{SIMULTANEOUS_16_BIT.serial_number:08X}"
@@ -117,9 +107,7 @@ def test_a_sound_rig_is_checked_completely_and_nothing_is_energized(
     assert not (tmp_path / "data").exists(), "no folder is made on the way"
 
 
-def test_the_record_of_lines_would_show_a_strike(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_the_record_of_lines_would_show_a_strike(doubles, tmp_path, capsys):
     code, checks, report = doctor(capsys, configuration(tmp_path, doubles), tmp_path / "data", strike="C")
     assert code == 0
     assert "reflected" in checks["strike C: record"]["found"]
@@ -135,9 +123,7 @@ def test_the_record_of_lines_would_show_a_strike(
     assert record["tasks"] == []
 
 
-def test_boards_of_a_running_recorder_are_left_alone(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_boards_of_a_running_recorder_are_left_alone(doubles, tmp_path, capsys):
     folder, config = tmp_path / "data", configuration(tmp_path, doubles)
     prepare_data_folder(folder)
     script = (
@@ -157,8 +143,8 @@ def test_boards_of_a_running_recorder_are_left_alone(
     assert doubles.control.record()["calls"] == []
 
 
-def test_a_rehearsal_takes_whole_sets_with_every_coil_low(doubles: RunningDoubles, tmp_path: Path) -> None:
-    settings: Settings = load_settings(configuration(tmp_path, doubles, dry_run=True))
+def test_a_rehearsal_takes_whole_sets_with_every_coil_low(doubles, tmp_path):
+    settings = load_settings(configuration(tmp_path, doubles, dry_run=True))
     folder = tmp_path / "rehearsal"
     strikes_before = doubles.control.record()["strikes"]
     assert run(settings, folder, wall_clock=SteppedClock().start)
@@ -181,7 +167,7 @@ def test_a_rehearsal_takes_whole_sets_with_every_coil_low(doubles: RunningDouble
         assert [row.payload["dry_run"] for row in started if row.kind == "recorder_started"] == [True]
 
 
-def test_the_power_up_states_of_the_safety_page_are_set(doubles: RunningDoubles) -> None:
+def test_the_power_up_states_of_the_safety_page_are_set(doubles):
     from nidaqmx.constants import PowerUpStates
     from nidaqmx.system import System
 

@@ -3,7 +3,6 @@
 import os
 import subprocess
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
@@ -45,9 +44,7 @@ scripted_kinds.SCRIPT.fails = end
         ),
     ],
 )
-def test_a_driver_that_ends_the_recorder_costs_no_set(
-    endings: Sequence[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_driver_that_ends_the_recorder_costs_no_set(endings, tmp_path, monkeypatch):
     site, folder = tmp_path / "site", tmp_path / "data"
     offered = {"ending-scope": {"digitizer": "ending:SCOPE"}, "ending-hammer": {"striker": "ending:HAMMER"}}
     offer(monkeypatch, site, offered)
@@ -71,16 +68,14 @@ def test_a_driver_that_ends_the_recorder_costs_no_set(
 @pytest.mark.parametrize(
     "ending", [SystemExit(0), SystemExit(3), KeyboardInterrupt(), GeneratorExit(), EOFError()], ids=repr
 )
-def test_an_exit_raised_by_a_driver_is_a_fault(
-    ending: BaseException, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_exit_raised_by_a_driver_is_a_fault(ending, tmp_path, monkeypatch, caplog):
     monkeypatch.setattr(cli_run, "log_to", lambda path: None)  # its handlers stay as long as the process
     offer(monkeypatch, tmp_path / "site", OFFERED)
     folder = tmp_path / "data"
     prepare_data_folder(folder)
     config = write_configuration(mixed({"scope": SCOPE, "hammer": HAMMER}, PLACES), folder)
 
-    def end(event: str) -> None:
+    def end(event):
         if event == "read C":
             raise ending
 

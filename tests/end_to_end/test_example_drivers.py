@@ -7,7 +7,6 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -18,7 +17,6 @@ from support.stored_files import read_set, set_files
 from test_mixed_rigs import SHOTS, boards, mixed, set_rows
 
 from hardware_drivers.measurement import ShotKey
-from simulator.numerics.arrays import FloatArray
 from simulator.parameters.plate import CorrosionParameters
 from simulator.shot.model import ShotModel
 from simulator.specimen import Transducer, build_specimen
@@ -43,7 +41,7 @@ RATE_HZ = 10e6
 KEY = ShotKey(position="C", set_index=0, shot_index=0)
 
 
-def wave_of_the_twin_v() -> FloatArray:
+def wave_of_the_twin_v():
     """Return the volts of a sensor on the physics twin, shape (n_samples,), at `RATE_HZ`."""
     transducer = Transducer(chain=CHAIN, model=ShotModel(CHAIN, PLATE, CorrosionParameters()))
     specimen = build_specimen(QUICK_TWIN, transducers={"C": transducer}, probed_thickness_m={})
@@ -54,7 +52,7 @@ def wave_of_the_twin_v() -> FloatArray:
 
 
 @pytest.fixture(scope="module")
-def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def site(tmp_path_factory):
     """Return a folder with both packages, which are nowhere else on the path."""
     site = tmp_path_factory.mktemp("site")
     pip = [sys.executable, "-m", "pip", "install", "-q", "--no-index", "--no-deps", "--no-build-isolation"]
@@ -71,7 +69,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("kind", KEPT)
-def test_an_example_keeps_every_rule_by_its_page_s_command(kind: str, site: Path, tmp_path: Path) -> None:
+def test_an_example_keeps_every_rule_by_its_page_s_command(kind, site, tmp_path):
     example, command = COMMANDS[kind]
     for name in ("rig.toml", "tests"):
         source = EXAMPLES / example / name
@@ -99,9 +97,7 @@ def test_an_example_keeps_every_rule_by_its_page_s_command(kind: str, site: Path
 
 
 @pytest.mark.skipif(bool(why_no("library")), reason=why_no("library") or "the double can be built")
-def test_a_mixed_rig_takes_a_set_by_the_example_s_scope_and_a_counter_of_ni(
-    site: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mixed_rig_takes_a_set_by_the_example_s_scope_and_a_counter_of_ni(site, tmp_path, monkeypatch):
     monkeypatch.syspath_prepend(str(site))
     from block_scope import api
     from block_scope.double import ScopeDouble, as_library
@@ -115,7 +111,7 @@ def test_a_mixed_rig_takes_a_set_by_the_example_s_scope_and_a_counter_of_ni(
 
             strikes = 0
 
-            def bs_is_ready(self, handle: int, ready: Any) -> int:
+            def bs_is_ready(self, handle, ready):
                 ended = [event for event in doubles.control.record()["lines"] if not event["level"]]
                 if len(ended) > self.strikes:
                     self.strikes = len(ended)

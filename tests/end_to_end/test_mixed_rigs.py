@@ -2,22 +2,19 @@
 
 import json
 import threading
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 from pydantic import TypeAdapter
 from support.daqmx_models import running_brain
 from support.daqmx_rig import coil_pulses_s, meet, parameters_of, quick_description, why_no
 from support.offered_kinds import offer
-from support.scripted_kinds import OFFERED, Script, begin_script
+from support.scripted_kinds import OFFERED, begin_script
 from support.small_experiment import run
 from support.stored_files import read_set, set_files
 
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.rows import EnvironmentRow, EventRow, SetRow
+from daq_service.catalogue.rows import EnvironmentRow, SetRow
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.clock import WallClock
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
@@ -26,7 +23,6 @@ from daq_service.rig.open_rig import open_rig, open_supply
 from daq_service.settings.instruments import with_defaults
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
-from simulator.doubles.transports.control import RunningDoubles
 
 HAMMER, SCOPE = {"kind": "scripted-hammer"}, {"kind": "scripted-scope"}
 SHOTS = 3
@@ -37,18 +33,18 @@ on_boards = pytest.mark.skipif(bool(why_no("library")), reason=why_no("library")
 
 
 @pytest.fixture
-def script(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Script:
+def script(tmp_path, monkeypatch):
     offer(monkeypatch, tmp_path / "site", OFFERED)
     return begin_script()
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Path:
+def folder(tmp_path):
     return tmp_path / "data"
 
 
 @pytest.fixture(scope="module")
-def running() -> Iterator[RunningDoubles]:
+def running():
     with running_brain(DESCRIPTION) as doubles:
         yield doubles
 
@@ -57,13 +53,13 @@ DESCRIPTION = quick_description()
 
 
 @pytest.fixture
-def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> RunningDoubles:
+def doubles(running, monkeypatch):
     meet(running, monkeypatch)
     running.control.clear_record()
     return running
 
 
-def mixed(instruments: dict[str, Any], places: dict[str, tuple[str, str]], **rig: Any) -> Settings:
+def mixed(instruments, places, **rig):
     """Return settings of one set of a mixed rig; places name digitizer and striker."""
     served = {name: {"digitizer": one, "striker": other} for name, (one, other) in places.items()}
     return with_defaults(
@@ -82,30 +78,28 @@ def mixed(instruments: dict[str, Any], places: dict[str, tuple[str, str]], **rig
     )
 
 
-def boards(doubles: RunningDoubles, position: str, **ends: str) -> dict[str, Any]:
+def boards(doubles, position, **ends):
     """Return the table of the boards with one transducer that is only partly wired."""
     parameters = parameters_of(DESCRIPTION, doubles)
     wiring = replace(parameters.transducers[position], **ends)
-    values: dict[str, Any] = TypeAdapter(DaqmxParameters).dump_python(
+    values = TypeAdapter(DaqmxParameters).dump_python(
         replace(parameters, transducers={position: wiring}), mode="json"
     )
     return {"kind": "daqmx", **values}
 
 
-def set_rows(folder: Path) -> dict[str, SetRow]:
+def set_rows(folder):
     with open_catalogue(folder) as catalogue:
         return {row.position: row for row in catalogue.rows(SetRow)}
 
 
-def events_of(folder: Path, *kinds: str) -> list[EventRow]:
+def events_of(folder, *kinds):
     with open_catalogue(folder) as catalogue:
         return [row for row in catalogue.events_after(0) if row.kind in kinds]
 
 
 @on_boards
-def test_boards_strike_and_another_instrument_digitizes(
-    script: Script, doubles: RunningDoubles, folder: Path
-) -> None:
+def test_boards_strike_and_another_instrument_digitizes(script, doubles, folder):
     instruments = {"boards": boards(doubles, "C", input=""), "scope": SCOPE}
     assert run(mixed(instruments, {"C": ("scope", "boards")}), folder)
     assert set_rows(folder)["C"].state == "done"
@@ -123,9 +117,7 @@ def test_boards_strike_and_another_instrument_digitizes(
 
 
 @on_boards
-def test_boards_digitize_what_another_instrument_strikes(
-    script: Script, doubles: RunningDoubles, folder: Path
-) -> None:
+def test_boards_digitize_what_another_instrument_strikes(script, doubles, folder):
     instruments = {"boards": boards(doubles, "C", counter=""), "relay": {"kind": "scripted-relay"}}
     settings = mixed(instruments, {"C": ("boards", "relay")}, read_timeout_s=60.0)
     assert run(settings, folder)
@@ -137,8 +129,8 @@ def test_boards_digitize_what_another_instrument_strikes(
     assert len(coil_pulses_s(doubles.control.record())) == SHOTS
 
 
-def test_a_person_is_prompted_on_every_channel_until_the_strike_ends(script: Script, folder: Path) -> None:
-    heard: list[tuple[str, dict[str, Any]]] = []
+def test_a_person_is_prompted_on_every_channel_until_the_strike_ends(script, folder):
+    heard = []
     settings = mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer")}, read_timeout_s=400.0)
     prepare_data_folder(folder)
     with own_data_folder(folder):
@@ -164,7 +156,7 @@ def test_a_person_is_prompted_on_every_channel_until_the_strike_ends(script: Scr
     assert longest_call_s(settings) == 500.0
 
 
-def test_each_instrument_is_opened_once_with_the_positions_it_serves(script: Script) -> None:
+def test_each_instrument_is_opened_once_with_the_positions_it_serves(script):
     settings = mixed({"hammer": HAMMER, "scope": SCOPE}, {"B": ("scope", "hammer"), "C": ("scope", "hammer")})
     clock = WallClock()
     with open_rig(settings, clock, 5):
@@ -175,7 +167,7 @@ def test_each_instrument_is_opened_once_with_the_positions_it_serves(script: Scr
     assert scope.experiment["rig"]["instruments"]["scope"]["range_v"] == 10.0
 
 
-def test_supply_and_climate_of_other_packages_are_logged(script: Script, folder: Path) -> None:
+def test_supply_and_climate_of_other_packages_are_logged(script, folder):
     instruments = {
         "hammer": HAMMER,
         "scope": SCOPE,
@@ -202,8 +194,8 @@ def test_supply_and_climate_of_other_packages_are_logged(script: Script, folder:
 
 
 def test_the_doctor_checks_each_kind_and_strikes_with_the_instruments_of_the_position(
-    script: Script, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+    script, tmp_path, capsys
+):
     places = {"B": ("scope", "hammer"), "C": ("scope", "other")}
     settings = mixed({"hammer": HAMMER, "other": HAMMER, "scope": SCOPE}, places)
     config = tmp_path / "rig.json"

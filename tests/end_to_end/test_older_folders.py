@@ -5,10 +5,8 @@ import json
 import logging
 import sqlite3
 import tarfile
-from collections.abc import Callable, Iterator
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.small_experiment import rows_of, run
@@ -18,7 +16,6 @@ from daq_service.catalogue import check_owner
 from daq_service.catalogue.earlier_names import current_row, derived_uuid
 from daq_service.errors import StorageError
 from daq_service.settings.file import load_settings
-from daq_service.settings.tree import Settings
 
 FOLDERS = Path(__file__).parents[1] / "fixtures" / "folders"
 TRANSDUCER, PROBE_TOO = FOLDERS / "transducer.toml", FOLDERS / "transducer_and_probe.toml"
@@ -45,11 +42,9 @@ CAME_LATER = {
 CAME_LATER |= {"diagnosis", "diagnosis_probability", "diagnosis_details"}
 """Columns of a baseline that has a chart, and of its assessments."""
 
-Unpack = Callable[[str], Path]
-
 
 @pytest.fixture
-def unpack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Unpack:
+def unpack(tmp_path, monkeypatch):
     """Return a function that copies the folder of a commit, with the most common extractor version.
 
     Later ones flag more and measure the same: everything else of these folders can be gone on with.
@@ -58,7 +53,7 @@ def unpack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Unpack:
     for module in ("daq_service.assessment.solitary_wave", "analysis.waves.features"):
         monkeypatch.setattr(f"{module}.EXTRACTOR_VERSION", "1.1")
 
-    def copy(commit: str) -> Path:
+    def copy(commit):
         folder = tmp_path / commit
         with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
             archive.extractall(folder, filter="data")
@@ -67,16 +62,16 @@ def unpack(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Unpack:
     return copy
 
 
-def settings_of(commit: str, **tables: Any) -> Settings:
+def settings_of(commit, **tables):
     return load_settings(CONFIGURATION_OF[commit], overrides={**TO_THE_END, **tables})
 
 
-def parsed(name: str, value: Any) -> Any:
+def parsed(name, value):
     """Return a stored value; a payload as an object."""
     return json.loads(value) if name == "payload" else value
 
 
-def stored_rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
+def stored_rows(folder):
     """Return rows as stored in the file of any revision, with current names."""
     database = sqlite3.connect(folder / "catalogue.sqlite")
     database.row_factory = sqlite3.Row
@@ -91,11 +86,11 @@ def stored_rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
     return rows
 
 
-def digests(folder: Path, pattern: str) -> dict[str, str]:
+def digests(folder, pattern):
     return {path.name: hashlib.sha256(path.read_bytes()).hexdigest() for path in folder.glob(pattern)}
 
 
-def goes_on(folder: Path, commit: str) -> dict[str, list[dict[str, Any]]]:
+def goes_on(folder, commit):
     """Continue to the end and return the rows; check that earlier rows are unchanged."""
     before, files = stored_rows(folder), digests(folder, "sets/*.h5")
     assert run(settings_of(commit), folder)
@@ -108,7 +103,7 @@ def goes_on(folder: Path, commit: str) -> dict[str, list[dict[str, Any]]]:
     return after
 
 
-def leaves(value: Any, *where: Any) -> Iterator[tuple[tuple[Any, ...], Any]]:
+def leaves(value, *where):
     """Return every number and text of rows by its location."""
     content = asdict(value) if is_dataclass(value) and not isinstance(value, type) else value
     if isinstance(content, dict | list | tuple):
@@ -119,7 +114,7 @@ def leaves(value: Any, *where: Any) -> Iterator[tuple[tuple[Any, ...], Any]]:
 
 
 @pytest.mark.parametrize("commit", ["9c4a9b9", "ab39956"])
-def test_a_folder_of_an_earlier_version_goes_on_under_its_own_hash(unpack: Unpack, commit: str) -> None:
+def test_a_folder_of_an_earlier_version_goes_on_under_its_own_hash(unpack, commit):
     folder = unpack(commit)
     rows = goes_on(folder, commit)
     (experiment,) = rows["experiment"]
@@ -135,7 +130,7 @@ def test_a_folder_of_an_earlier_version_goes_on_under_its_own_hash(unpack: Unpac
     assert last["versions"]["twin"] == "1"
 
 
-def test_a_continued_run_has_the_rows_of_an_uninterrupted_one(unpack: Unpack, tmp_path: Path) -> None:
+def test_a_continued_run_has_the_rows_of_an_uninterrupted_one(unpack, tmp_path):
     folder, whole = unpack("9c4a9b9"), tmp_path / "whole"
     assert run(settings_of("9c4a9b9"), folder)
     assert run(settings_of("9c4a9b9"), whole)
@@ -157,7 +152,7 @@ def test_a_continued_run_has_the_rows_of_an_uninterrupted_one(unpack: Unpack, tm
     }
 
 
-def test_another_extractor_is_refused_before_the_catalogue_is_migrated(unpack: Unpack) -> None:
+def test_another_extractor_is_refused_before_the_catalogue_is_migrated(unpack):
     folder = unpack("c3c2e28")
     files = digests(folder, "**/*.*")
     for refused in (lambda: check_owner(settings_of("c3c2e28"), folder), lambda: goes_on(folder, "c3c2e28")):
@@ -166,9 +161,7 @@ def test_another_extractor_is_refused_before_the_catalogue_is_migrated(unpack: U
         assert digests(folder, "**/*.*").items() >= files.items()
 
 
-def test_the_first_catalogue_is_migrated_by_the_recorder_that_goes_on(
-    unpack: Unpack, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_catalogue_is_migrated_by_the_recorder_that_goes_on(unpack, monkeypatch):
     # As if the extractor had stayed what it was: everything else of this folder can be gone on with.
     monkeypatch.setattr("analysis.waves.features.EXTRACTOR_VERSION", "1.0")
     folder = unpack("c3c2e28")
@@ -188,9 +181,7 @@ def test_the_first_catalogue_is_migrated_by_the_recorder_that_goes_on(
         ("analysis.waves.features.EXTRACTOR_VERSION", "of solitary waves: began with 1.1, is 2"),
     ],
 )
-def test_a_version_that_measures_otherwise_names_what_changed(
-    unpack: Unpack, monkeypatch: pytest.MonkeyPatch, name: str, message: str
-) -> None:
+def test_a_version_that_measures_otherwise_names_what_changed(unpack, monkeypatch, name, message):
     folder = unpack("9c4a9b9")
     monkeypatch.setattr(name, "2")
     with pytest.raises(StorageError) as caught:
@@ -200,7 +191,7 @@ def test_a_version_that_measures_otherwise_names_what_changed(
     assert caught.value.exit_code == 4
 
 
-def test_a_changed_key_is_named_with_both_values(unpack: Unpack) -> None:
+def test_a_changed_key_is_named_with_both_values(unpack):
     folder = unpack("ab39956")
     with pytest.raises(StorageError) as caught:
         check_owner(settings_of("ab39956", plate={"elements_per_edge": 18, "contact": "patch"}), folder)
@@ -211,16 +202,14 @@ def test_a_changed_key_is_named_with_both_values(unpack: Unpack) -> None:
     ]
 
 
-def test_a_new_package_version_alone_is_reported_and_not_refused(
-    unpack: Unpack, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_new_package_version_alone_is_reported_and_not_refused(unpack, monkeypatch, caplog):
     monkeypatch.setattr("daq_service.recording.session.version", lambda name: "9.0.0")
     with caplog.at_level(logging.WARNING):
         goes_on(unpack("ab39956"), "ab39956")
     assert "solimon 9.0.0 goes on with a test that 0.1.0 began" in caplog.text
 
 
-def test_the_configuration_that_an_earlier_demo_wrote_is_read(unpack: Unpack) -> None:
+def test_the_configuration_that_an_earlier_demo_wrote_is_read(unpack):
     folder = unpack("ab39956")
     (row,) = stored_rows(folder)["experiment"]
     assert "damping_law" not in row["configuration"], "the key came later"

@@ -1,7 +1,6 @@
 """Pictures of the docs: each is made by the command, shows what its text says, and is small."""
 
 import re
-from pathlib import Path
 
 import pytest
 from support.pictures import DEMO, DOCS, PICTURES, make, parsed_line, source_of
@@ -11,7 +10,7 @@ MOST_BYTES = 1_500_000
 """Limit of all files: each clone of the repository contains them."""
 
 
-def test_the_docs_show_the_pictures_that_the_command_makes_and_no_others() -> None:
+def test_the_docs_show_the_pictures_that_the_command_makes_and_no_others():
     shown = {
         (page.parent / target).resolve()
         for page in PAGES
@@ -21,7 +20,7 @@ def test_the_docs_show_the_pictures_that_the_command_makes_and_no_others() -> No
     assert shown - drawn_by_hand == {DOCS / picture.file for picture in PICTURES}
 
 
-def test_each_step_of_the_tutorial_has_its_picture() -> None:
+def test_each_step_of_the_tutorial_has_its_picture():
     text = (DOCS / "tutorial.md").read_text(encoding="utf-8")
     _, *steps = re.split(r"^## ", text, flags=re.MULTILINE)
     without = [step.partition("\n")[0] for step in steps if "![" not in step]
@@ -30,14 +29,14 @@ def test_each_step_of_the_tutorial_has_its_picture() -> None:
     assert without == []
 
 
-def test_each_screenshot_matches_the_list() -> None:
+def test_each_screenshot_matches_the_list():
     assert {p.file: parsed_line(DOCS / p.file) for p in PICTURES} == {p.file: source_of(p) for p in PICTURES}
     assert sum((DOCS / picture.file).stat().st_size for picture in PICTURES) < MOST_BYTES
 
 
 @pytest.mark.slow
 @pytest.mark.browser
-def test_the_command_writes_all_files(tmp_path: Path) -> None:
+def test_the_command_writes_all_files(tmp_path):
     make(tmp_path)
     made = {path.relative_to(tmp_path).as_posix(): parsed_line(path) for path in tmp_path.rglob("*.*")}
     assert made == {picture.file: source_of(picture) for picture in PICTURES}

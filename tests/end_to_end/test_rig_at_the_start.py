@@ -1,11 +1,8 @@
 """A rig that is busy or gone when a recorder starts: a new test reports it, a started test waits."""
 
 import threading
-from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import pytest
 from support.crashed_recorders import LongerRecords
@@ -26,12 +23,12 @@ END_H = 2.0
 class Unwilling:
     """Opener that refuses a number of times, then opens the twin."""
 
-    def __init__(self, *refusals: Exception, on_refusal: Any = None) -> None:
+    def __init__(self, *refusals, on_refusal=None):
         self.refusals = list(refusals)
         self.on_refusal = on_refusal
 
     @contextmanager
-    def __call__(self, *arguments: Any) -> Iterator[Any]:
+    def __call__(self, *arguments):
         if self.refusals:
             if self.on_refusal is not None:
                 self.on_refusal()
@@ -53,9 +50,7 @@ record = partial(run, waits_for_rig_s=(0.01,))
     ("refusal", "kind", "code"),
     [(GONE, RigError, 3), (BUSY, BusyError, 5), (UNKNOWN, RigError, 3), (WRONG, RigError, 3)],
 )
-def test_a_test_that_has_not_started_reports_the_missing_rig_and_ends(
-    tmp_path: Path, refusal: Exception, kind: type[RigError], code: int
-) -> None:
+def test_a_test_that_has_not_started_reports_the_missing_rig_and_ends(tmp_path, refusal, kind, code):
     with pytest.raises(kind, match="cannot be opened") as failure:
         record(small_settings(), tmp_path, rig=Unwilling(refusal))
     assert str(refusal) in str(failure.value)
@@ -64,11 +59,11 @@ def test_a_test_that_has_not_started_reports_the_missing_rig_and_ends(
 
 
 @pytest.mark.parametrize("refusal", [GONE, BUSY, UNKNOWN])
-def test_a_test_that_has_started_waits_for_its_rig(tmp_path: Path, refusal: Exception) -> None:
+def test_a_test_that_has_started_waits_for_its_rig(tmp_path, refusal):
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     doing = []
 
-    def look() -> None:
+    def look():
         beat = read_heartbeat(tmp_path)
         assert beat is not None
         doing.append(beat.doing)
@@ -82,14 +77,14 @@ def test_a_test_that_has_started_waits_for_its_rig(tmp_path: Path, refusal: Exce
     assert set(doing) <= waits, "the heartbeat goes on while it waits"
 
 
-def test_an_error_that_waiting_cannot_fix_ends_a_started_test_too(tmp_path: Path) -> None:
+def test_an_error_that_waiting_cannot_fix_ends_a_started_test_too(tmp_path):
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     with pytest.raises(RigError, match="range_v is 3 V"):
         record(small_settings(schedule={"end_h": END_H}), tmp_path, rig=Unwilling(GONE, WRONG))
     assert record(small_settings(schedule={"end_h": END_H}), tmp_path), "the schedule is kept"
 
 
-def test_any_rig_error_is_waited_for_when_unattended(tmp_path: Path) -> None:
+def test_any_rig_error_is_waited_for_when_unattended(tmp_path):
     """The supervisor started the recorder again, in the night."""
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     again = "was killed by signal 9"
@@ -98,17 +93,17 @@ def test_any_rig_error_is_waited_for_when_unattended(tmp_path: Path) -> None:
     assert rig.refusals == []
 
 
-def test_each_missed_set_has_the_cause_of_its_own_time(tmp_path: Path) -> None:
+def test_each_missed_set_has_the_cause_of_its_own_time(tmp_path):
     """A gap, then a recorder that waits for its rig: real time on a simulated clock."""
     clock = Time()
     began_s, stop, again = clock.s(), Stop(clock), Stop(clock)
 
-    def after_two_sets() -> None:
+    def after_two_sets():
         if clock.s() > began_s + 2.7 * INTERVAL_S:
             stop.set()
 
     @contextmanager
-    def absent(opener: Any, *arguments: Any) -> Iterator[Any]:
+    def absent(opener, *arguments):
         if clock.s() < began_s + 5.5 * INTERVAL_S:
             raise GONE
         with opener(*arguments) as rig:
@@ -124,7 +119,7 @@ def test_each_missed_set_has_the_cause_of_its_own_time(tmp_path: Path) -> None:
     assert causes == {0: None, 1: None, 2: stopped, 3: waited, 4: None, 5: None}, "4 is struck late"
 
 
-def test_waiting_ends_on_a_stop_request(tmp_path: Path) -> None:
+def test_waiting_ends_on_a_stop_request(tmp_path):
     assert record(small_settings(schedule={"end_h": 1.0}), tmp_path)
     stop = threading.Event()
     rig = Unwilling(*[GONE] * 1000, on_refusal=stop.set)
@@ -132,8 +127,8 @@ def test_waiting_ends_on_a_stop_request(tmp_path: Path) -> None:
     assert len(rig.refusals) == 999
 
 
-def test_the_heartbeat_allows_for_the_longest_call_over_a_network() -> None:
-    def deadline_s(**boards: Any) -> float:
+def test_the_heartbeat_allows_for_the_longest_call_over_a_network():
+    def deadline_s(**boards):
         wiring = {
             name: {"board_serial": "1", "input": f"ai{n}", "counter": f"ctr{n}", "output_terminal": f"PFI{n}"}
             for n, name in enumerate("BCD")

@@ -3,7 +3,6 @@
 import os
 import signal
 import subprocess
-from pathlib import Path
 
 import pytest
 from support.waiting import WAIT_S
@@ -19,11 +18,11 @@ from support.pseudo_terminal import on_terminal
 pytestmark = pytest.mark.slow
 
 
-def sets(folder: Path) -> int:
+def sets(folder):
     return len(list((folder / "sets").iterdir()))
 
 
-def test_a_test_survives_its_terminal_on_request(tmp_path: Path) -> None:
+def test_a_test_survives_its_terminal_on_request(tmp_path):
     """As `nohup` starts it: its terminal hangs up after a Ctrl-C."""
     ignoring = ["sh", "-c", 'trap "" HUP INT; exec "$@"', "sh"]
     with subprocess.Popen(
@@ -42,7 +41,7 @@ def test_a_test_survives_its_terminal_on_request(tmp_path: Path) -> None:
     assert sets(tmp_path / "data") == 2
 
 
-def test_a_held_terminal_holds_neither_the_test_nor_its_end(tmp_path: Path) -> None:
+def test_a_held_terminal_holds_neither_the_test_nor_its_end(tmp_path):
     with on_terminal(arguments("run", "--no-web", folder=tmp_path / "data"), quick(1.0)) as terminal:
         os.write(terminal._screen, b"\x13")  # Ctrl-S
         assert terminal.process.wait(WAIT_S) == 0

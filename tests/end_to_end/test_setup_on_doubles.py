@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import io
 import json
-import subprocess
-from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 from support.command_line import solimon_here
@@ -28,7 +24,6 @@ from daq_service.processes.data_folder import own_data_folder, prepare_data_fold
 from daq_service.settings.file import load_settings
 from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.doubles.chassis.description import SLOW
-from simulator.doubles.transports.control import RunningDoubles
 from simulator.doubles.transports.library import why_unavailable
 from simulator.parameters.electronics import NoiseParameters
 
@@ -57,13 +52,13 @@ SCHEDULE = {
 
 
 @pytest.fixture(scope="module")
-def running() -> Iterator[RunningDoubles]:
+def running():
     with running_brain(DESCRIPTION) as doubles:
         yield doubles
 
 
 @pytest.fixture
-def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> RunningDoubles:
+def doubles(running, monkeypatch):
     meet(running, monkeypatch)
     happened(running.control.wait_until_quiet, "every striker landed")
     running.control.clear_faults()
@@ -71,21 +66,16 @@ def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> Running
     return running
 
 
-def setup(
-    file: Path, *arguments: str, env: Mapping[str, str] | None = None
-) -> subprocess.CompletedProcess[str]:
+def setup(file, *arguments, env=None):
     return solimon_here("setup", str(file), "--pulse-s", str(PULSE_S), *arguments, env=env or {})
 
 
-def report(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+def report(done):
     assert done.returncode == 0, done.stderr
-    content: dict[str, Any] = json.loads(done.stdout)
-    return content
+    return json.loads(done.stdout)
 
 
-def test_flags_lead_to_a_file_whose_first_set_is_good(
-    doubles: RunningDoubles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_flags_lead_to_a_file_whose_first_set_is_good(doubles, tmp_path, monkeypatch):
     file = tmp_path / "lab.toml"
     answer = report(setup(file, *WIRED, "--strike", "--json"))
     assert answer["struck"] == ["B", "C"]
@@ -115,7 +105,7 @@ def test_flags_lead_to_a_file_whose_first_set_is_good(
 
 
 @pytest.mark.skipif(bool(why_no("grpc")), reason=why_no("grpc") or "it can be reached")
-def test_boards_of_another_computer_are_set_up_alike(running: RunningDoubles, tmp_path: Path) -> None:
+def test_boards_of_another_computer_are_set_up_alike(running, tmp_path):
     file = tmp_path / "lab.toml"
     there = ("--transport", "grpc", "--grpc-address", running.grpc)
     answer = report(setup(file, *WIRED[:2], *there, "--strike", "--json"))
@@ -125,9 +115,7 @@ def test_boards_of_another_computer_are_set_up_alike(running: RunningDoubles, tm
     assert (boards.transport, boards.grpc_address) == ("grpc", running.grpc)
 
 
-def test_without_permission_nothing_strikes_and_the_file_states_it(
-    doubles: RunningDoubles, tmp_path: Path
-) -> None:
+def test_without_permission_nothing_strikes_and_the_file_states_it(doubles, tmp_path):
     file = tmp_path / "lab.toml"
     answer = report(setup(file, *WIRED, "--json"))
     assert (answer["struck"], answer["proposal"]) == ([], None)
@@ -142,9 +130,7 @@ def test_without_permission_nothing_strikes_and_the_file_states_it(
     assert (boards.trigger_level_v, boards.holdoff_s) == (0.25, 0.0106)
 
 
-def test_prompts_repeat_until_the_answer_is_valid(
-    doubles: RunningDoubles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_prompts_repeat_until_the_answer_is_valid(doubles, tmp_path, monkeypatch):
     answers = ["", "0", str(PULSE_S), "B", "", "ai9", "", "", "", "strike", "", "", "yes", "", "", ""]
     monkeypatch.setattr("sys.stdin", io.StringIO("\n".join(answers) + "\n"))
     file = tmp_path / "lab.toml"
@@ -158,9 +144,7 @@ def test_prompts_repeat_until_the_answer_is_valid(
     assert load_settings(file).rig.daqmx.holdoff_s == answer["proposal"]["holdoff_s"]
 
 
-def test_a_person_s_own_values_take_the_place_of_those_proposed(
-    doubles: RunningDoubles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_person_s_own_values_take_the_place_of_those_proposed(doubles, tmp_path, monkeypatch):
     wiring = ["", str(PULSE_S), "B", "", "", "", "", "strike", "go on", ""]
     # A holdoff beyond the fall is refused, and all prompts repeat.
     own = ["no", "10", "0.4", "", "", "0.5", "10", "0.4", "", "2e-4", "0.012"]
@@ -176,9 +160,7 @@ def test_a_person_s_own_values_take_the_place_of_those_proposed(
     assert boards.record_samples == 14_600, "as much after the trigger as ever"
 
 
-def test_answers_that_end_write_nothing(
-    doubles: RunningDoubles, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_answers_that_end_write_nothing(doubles, tmp_path, monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("\n\nB\n"))
     done = solimon_here("setup", str(tmp_path / "lab.toml"), "--no-web", env={})
     assert done.returncode == 2
@@ -186,7 +168,7 @@ def test_answers_that_end_write_nothing(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_strikes_are_refused_in_the_folder_of_a_recorder(doubles: RunningDoubles, tmp_path: Path) -> None:
+def test_strikes_are_refused_in_the_folder_of_a_recorder(doubles, tmp_path):
     usual, other = tmp_path / "solimon-data", tmp_path / "other"
     for folder, options in ((usual, ()), (other, ("--data-dir", str(other)))):
         prepare_data_folder(folder)
@@ -198,7 +180,7 @@ def test_strikes_are_refused_in_the_folder_of_a_recorder(doubles: RunningDoubles
     assert not (tmp_path / "lab.toml").exists()
 
 
-def test_strikes_stop_when_a_recorder_has_started_meanwhile(doubles: RunningDoubles, tmp_path: Path) -> None:
+def test_strikes_stop_when_a_recorder_has_started_meanwhile(doubles, tmp_path):
     bench = look_around(Dialogue(), tmp_path, "library", "")
     try:
         bench.wire("B", wiring_of(bench.boards, "01E16086/ai0/ctr0"))
@@ -227,15 +209,13 @@ def test_strikes_stop_when_a_recorder_has_started_meanwhile(doubles: RunningDoub
         ("01E16086/ai0/ctr0", "name the position first"),
     ],
 )
-def test_a_wiring_that_is_not_there_is_refused(
-    doubles: RunningDoubles, tmp_path: Path, wiring: str, refusal: str
-) -> None:
+def test_a_wiring_that_is_not_there_is_refused(doubles, tmp_path, wiring, refusal):
     done = setup(tmp_path / "lab.toml", "--transducer", wiring)
     assert done.returncode == 2
     assert refusal in done.stderr
 
 
-def test_a_board_reserved_by_another_process_is_reported(doubles: RunningDoubles, tmp_path: Path) -> None:
+def test_a_board_reserved_by_another_process_is_reported(doubles, tmp_path):
     doubles.control.occupy("PXI1Slot3/ai", "LabVIEW")
     try:
         done = setup(tmp_path / "lab.toml", *WIRED, "--strike")
@@ -245,7 +225,7 @@ def test_a_board_reserved_by_another_process_is_reported(doubles: RunningDoubles
     assert "LabVIEW" in done.stderr
 
 
-def test_a_missing_trigger_board_is_reported_with_the_search(tmp_path: Path, monkeypatch) -> None:
+def test_a_missing_trigger_board_is_reported_with_the_search(tmp_path, monkeypatch):
     with running_brain(replace(QUICK, boards=(SLOW,), transducers={})) as slow:
         meet(slow, monkeypatch)
         done = setup(tmp_path / "lab.toml", *WIRED)

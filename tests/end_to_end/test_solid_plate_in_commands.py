@@ -1,8 +1,6 @@
 """The solid plate as a configuration asks for it."""
 
 import json
-import subprocess
-from pathlib import Path
 
 import pytest
 from support.command_line import solimon_here
@@ -19,13 +17,13 @@ largest_element = 12.0
 """
 
 
-def simulate(folder: Path, text: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+def simulate(folder, text, *arguments):
     file = folder / "solid.toml"
     file.write_text(text, encoding="utf-8")
     return solimon_here("simulate", str(file), *arguments, env={})
 
 
-def test_a_configuration_gives_a_shot_on_the_solid(tmp_path: Path) -> None:
+def test_a_configuration_gives_a_shot_on_the_solid(tmp_path):
     done = simulate(tmp_path, COARSE, "--json", "--depth", "0.4")
     assert done.returncode == 0, done.stderr
     shot = json.loads(done.stdout)
@@ -35,7 +33,7 @@ def test_a_configuration_gives_a_shot_on_the_solid(tmp_path: Path) -> None:
     assert shot["amplitude_ratio"] == pytest.approx(0.444, abs=0.004)
 
 
-def test_a_position_may_have_a_solid_of_its_own(tmp_path: Path) -> None:
+def test_a_position_may_have_a_solid_of_its_own(tmp_path):
     text = '[positions.B]\nmethod = "solitary_wave"\nplate = { model = "solid", solid = { degree = 3 } }\n'
     alone = simulate(tmp_path, text, "--json", "--depth", "0.4", "--position", "B")
     assert json.loads(alone.stdout)["tof_us"] == pytest.approx(347.65, abs=0.5)

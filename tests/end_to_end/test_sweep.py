@@ -9,7 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 
 from daq_service.cli.main import cli
 
@@ -22,7 +22,7 @@ ROWS = 50
 SLOW = ("--model", "zener", "--sweep", f"corrosion.depth_fraction=0:0.5:{ROWS}")
 
 
-def started(*arguments: str) -> subprocess.Popen[str]:
+def started(*arguments):
     # A session of its own: a signal can reach all of its processes at once, as a terminal's does.
     return subprocess.Popen(
         [*SOLIMON, "simulate", *arguments],
@@ -34,7 +34,7 @@ def started(*arguments: str) -> subprocess.Popen[str]:
     )
 
 
-def read_until(process: subprocess.Popen[str], pattern: str) -> str:
+def read_until(process, pattern):
     """Return the first group of the first line that matches."""
     assert process.stderr is not None
     seen = []
@@ -45,12 +45,12 @@ def read_until(process: subprocess.Popen[str], pattern: str) -> str:
     pytest.fail(f"no {pattern!r} in {seen}")
 
 
-def simulate(*arguments: str) -> Result:
+def simulate(*arguments):
     return CliRunner().invoke(cli, ["simulate", *arguments])
 
 
 @pytest.fixture(scope="module")
-def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def whole(tmp_path_factory):
     """Return the table of an undisturbed sweep, computed in one thread."""
     path = tmp_path_factory.mktemp("whole") / "table.csv"
     done = simulate(*SLOW, "--workers", "1", "--out", str(path))
@@ -58,9 +58,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_a_sweep_killed_and_interrupted_goes_on_and_ends_with_the_same_bytes(
-    whole: Path, tmp_path: Path
-) -> None:
+def test_a_sweep_killed_and_interrupted_goes_on_and_ends_with_the_same_bytes(whole, tmp_path):
     output = tmp_path / "table.csv"
     arguments = (*SLOW, "--workers", "1", "--out", str(output))
     with started(*arguments, "--executor", "processes") as process:
@@ -93,12 +91,12 @@ def test_a_sweep_killed_and_interrupted_goes_on_and_ends_with_the_same_bytes(
 
 
 @pytest.fixture
-def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+def quick(monkeypatch):
     monkeypatch.setenv("SOLIMON_PLATE__ELEMENTS_PER_EDGE", "16")
 
 
 @pytest.mark.usefixtures("quick")
-def test_depths_is_short_for_a_sweep_of_the_depth(tmp_path: Path) -> None:
+def test_depths_is_short_for_a_sweep_of_the_depth(tmp_path):
     short, long = tmp_path / "short.csv", tmp_path / "long.csv"
     assert simulate("--depths", "0:0.8:3", "--out", str(short)).exit_code == 0
     assert simulate("--sweep", "corrosion.depth_fraction=0:0.8:3", "--out", str(long)).exit_code == 0
@@ -106,7 +104,7 @@ def test_depths_is_short_for_a_sweep_of_the_depth(tmp_path: Path) -> None:
 
 
 @pytest.mark.usefixtures("quick")
-def test_a_sweep_file_and_the_printed_table(tmp_path: Path) -> None:
+def test_a_sweep_file_and_the_printed_table(tmp_path):
     path = tmp_path / "shots.csv"
     path.write_text("plate.model,corrosion.depth_fraction\nmindlin,0.2\nrigid_wall,0\n", encoding="utf-8")
     done = simulate("--sweep-file", str(path))

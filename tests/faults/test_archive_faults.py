@@ -4,8 +4,6 @@ Every call to the operating system goes through the names of `os` in `shared_fil
 a `Disk` there that counts the calls, refuses one of them, or ends the process between two.
 """
 
-from __future__ import annotations
-
 import errno
 import os
 import sys
@@ -38,14 +36,14 @@ class Disk:
         Bytes that one write takes; a failing write takes half of what it was given.
     """
 
-    def __init__(self, *, fail_at: int | None = None, error=None, longest_write: int | None = None) -> None:
+    def __init__(self, *, fail_at=None, error=None, longest_write=None):
         self.fail_at, self.error, self.longest_write = fail_at, error, longest_write
         self.calls: list[str] = []
         self.killed = False
         self.refused: set[str] = set()
         self.held: set[int] = set()
 
-    def __getattr__(self, name: str):
+    def __getattr__(self, name):
         real = getattr(os, name)
         if not callable(real):
             return real
@@ -96,7 +94,7 @@ def make_file(tmp_path):
     return journaled(tmp_path)
 
 
-def put(monkeypatch, disk: Disk) -> Disk:
+def put(monkeypatch, disk):
     monkeypatch.setattr(shared_file, "os", disk)
     return disk
 
@@ -171,7 +169,7 @@ def test_a_process_that_ends_between_two_calls_leaves_the_set_whole_or_absent(
 class RecordingDisk(Disk):
     """Log of the disk calls, to replay a power cut after each of them."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.log: list[tuple] = []
         self._path_of: dict[int, str] = {}
@@ -197,9 +195,9 @@ def states_after_power_loss(log, folder):
     What was not synced survives not at all, as a torn prefix, or whole; a name that was not synced
     is there or not.
     """
-    content: dict[str, bytes] = {}
-    synced: dict[str, bytes] = {}
-    moved: tuple[str, str] | None = None
+    content = {}
+    synced = {}
+    moved = None
     names_synced = False
     for entry in log:
         if entry[0] == "create":

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import gc
 import warnings
-from collections.abc import Iterator
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 
@@ -42,7 +41,6 @@ from support.waiting import happened
 
 from hardware_drivers.daqmx import DaqmxParameters, WatchdogWiring, open_daqmx
 from hardware_drivers.daqmx.chassis import LADDER
-from hardware_drivers.daqmx.instruments import DaqmxInstruments
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     BusyError,
@@ -83,7 +81,7 @@ class Call:
     attribute: str
 
     @property
-    def name(self) -> str:
+    def name(self):
         return f"{self.function}:{self.attribute}" if self.attribute else self.function
 
 
@@ -97,20 +95,20 @@ class Laboratory:
     stack: ExitStack
     patch: pytest.MonkeyPatch
 
-    def is_alive(self) -> bool:
+    def is_alive(self):
         try:
             self.brain.control.wait_until_hanging(0.0)
         except DoublesProcessError:
             return False
         return True
 
-    def replace_dead_brain(self) -> None:
+    def replace_dead_brain(self):
         if self.is_alive():
             return
         self.brain = self.stack.enter_context(running_brain(DESCRIPTION))
         self.meet()
 
-    def meet(self) -> None:
+    def meet(self):
         if self.forwarder is None:
             meet(self.brain, self.patch)
         else:
@@ -147,7 +145,7 @@ def laboratory(request):
         yield made
 
 
-def guarded(parameters: DaqmxParameters) -> DaqmxParameters:
+def guarded(parameters):
     """Enable watchdog and holdoff, so that their calls get faults too."""
     serial = parameters.transducers["C"].coil_serial
     watchdog = WatchdogWiring(board_serial=serial, lines=("port2/line4",))
@@ -155,12 +153,12 @@ def guarded(parameters: DaqmxParameters) -> DaqmxParameters:
 
 
 @pytest.fixture(scope="module")
-def calls(laboratory) -> list[Call]:
+def calls(laboratory):
     """Return every distinct call of a fault-free line, by its phase."""
     control = laboratory.brain.control
     found = []
 
-    def note(phase: str) -> None:
+    def note(phase):
         for call in control.record()["calls"]:
             entry = Call(phase, call["function"], call["attribute"])
             if entry not in found:
@@ -181,7 +179,7 @@ def calls(laboratory) -> list[Call]:
     return [call for call in found if call.function != "DAQmxSetRuntimeEnvironment"]
 
 
-def line(laboratory: Laboratory, before=lambda _: None, *, read_timeout_s: float = READ_TIMEOUT_S) -> Outcome:
+def line(laboratory, before=lambda _: None, *, read_timeout_s=READ_TIMEOUT_S):
     """Open, take a shot, self-calibrate, close; make the rig safe after an error and continue."""
     outcome = Outcome()
     stack = ExitStack()
@@ -199,9 +197,7 @@ def line(laboratory: Laboratory, before=lambda _: None, *, read_timeout_s: float
     return outcome
 
 
-def _go_on(
-    rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome, before, read_timeout_s: float
-) -> None:
+def _go_on(rig, laboratory, outcome, before, read_timeout_s):
     key = ShotKey(position="C", set_index=2, shot_index=0)
     try:
         laboratory.replace_dead_brain()
@@ -224,7 +220,7 @@ def _go_on(
         take_next(rig, laboratory, outcome, read_timeout_s)
 
 
-def make_safe(rig: DaqmxInstruments, outcome: Outcome) -> None:
+def make_safe(rig, outcome):
     """Make coil, then digitizer safe, as a rig does."""
     try:
         rig.striker.make_safe()
@@ -234,7 +230,7 @@ def make_safe(rig: DaqmxInstruments, outcome: Outcome) -> None:
         rig.digitizer.disarm()
 
 
-def take_next(rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome, read_timeout_s: float) -> None:
+def take_next(rig, laboratory, outcome, read_timeout_s):
     """Take the next shot within the recovery steps and one busy turn after any fault."""
     for shot in range(1, len(LADDER) + 3):
         key = ShotKey(position="C", set_index=2, shot_index=shot)
@@ -251,10 +247,10 @@ def take_next(rig: DaqmxInstruments, laboratory: Laboratory, outcome: Outcome, r
     raise AssertionError(f"no shot was taken after the fault: {outcome.errors}")
 
 
-def faulty_line(laboratory: Laboratory, call: Call, kind: str, code: int | None) -> Outcome:
+def faulty_line(laboratory, call, kind, code):
     """Take a line of shots with one fault in it."""
 
-    def before(phase: str) -> None:
+    def before(phase):
         laboratory.replace_dead_brain()
         if phase == call.phase:
             laboratory.brain.control.inject(call.name, kind, code=code)
@@ -262,7 +258,7 @@ def faulty_line(laboratory: Laboratory, call: Call, kind: str, code: int | None)
     return line(laboratory, before)
 
 
-def wrong_results(laboratory: Laboratory, outcome: Outcome, allowed) -> Iterator[str]:
+def wrong_results(laboratory, outcome, allowed):
     """Yield errors of a wrong class and records that differ from the twin."""
     for error in outcome.errors:
         if not isinstance(error, allowed):
@@ -278,7 +274,7 @@ def wrong_results(laboratory: Laboratory, outcome: Outcome, allowed) -> Iterator
             yield f"rate or pre-trigger of {key} is wrong"
 
 
-def left_wrongly(laboratory: Laboratory, call: Call) -> Iterator[str]:
+def left_wrongly(laboratory, call):
     """Yield a coil left on, a pulse too long, and tasks or reservations left behind."""
     record = laboratory.brain.control.record()
     if record["reservations"]:
@@ -290,7 +286,7 @@ def left_wrongly(laboratory: Laboratory, call: Call) -> Iterator[str]:
     yield from coil_wrongly(laboratory)
 
 
-def coil_wrongly(laboratory: Laboratory) -> Iterator[str]:
+def coil_wrongly(laboratory):
     """Yield faults of the coil's line in the record of the double."""
     try:
         pulses_s = coil_pulses_s(laboratory.brain.control.record())
@@ -309,7 +305,7 @@ def polynomial_v():
     return adc_calibration(mine.adc(AdcParameters())).coefficients_v
 
 
-def next_run_is_sound(laboratory: Laboratory, call: Call) -> Iterator[str]:
+def next_run_is_sound(laboratory, call):
     """Check that a new rig runs the line without an error and leaves nothing."""
     control = laboratory.brain.control
     control.clear_faults()
@@ -329,9 +325,7 @@ def next_run_is_sound(laboratory: Laboratory, call: Call) -> Iterator[str]:
         laboratory.replace_dead_brain()
 
 
-def each_in_turn(
-    laboratory: Laboratory, chosen: list[Call], kind: str, allowed, code: int | None = None
-) -> None:
+def each_in_turn(laboratory, chosen, kind, allowed, code=None):
     with warnings.catch_warnings():
         # NI's objects warn when they are collected and the driver had refused to clear them. Whether
         # anything was left is asked of the double.
@@ -345,7 +339,7 @@ def each_in_turn(
     assert not wrong, "\n".join(wrong)
 
 
-def after_a_fault(laboratory: Laboratory, call: Call, kind: str, allowed, code: int | None) -> list[str]:
+def after_a_fault(laboratory, call, kind, allowed, code):
     """Return every fault found after one injected fault."""
     laboratory.brain.control.clear_record()
     texts = []
@@ -366,7 +360,7 @@ def after_a_fault(laboratory: Laboratory, call: Call, kind: str, allowed, code: 
     return texts
 
 
-def one_of_each(calls: list[Call]) -> list[Call]:
+def one_of_each(calls):
     """Return the first call of every entry point."""
     first = {}
     for call in calls:
@@ -374,7 +368,7 @@ def one_of_each(calls: list[Call]) -> list[Call]:
     return list(first.values())
 
 
-def one_of_each_phase(calls: list[Call]) -> list[Call]:
+def one_of_each_phase(calls):
     """Return the first call of every phase."""
     first = {}
     for call in calls:
@@ -449,7 +443,7 @@ def test_a_hang_at_each_call(laboratory, calls):
     hang_each(laboratory, calls)
 
 
-def hang_each(laboratory: Laboratory, chosen: list[Call]) -> None:
+def hang_each(laboratory, chosen):
     if laboratory.forwarder is not None:
         each_in_turn(laboratory, chosen, "hang", ConnectionLostError)
         return
@@ -461,7 +455,7 @@ def hang_each(laboratory: Laboratory, chosen: list[Call]) -> None:
     assert not wrong, "\n".join(wrong)
 
 
-def hung_and_killed(laboratory: Laboratory, call: Call) -> Iterator[str]:
+def hung_and_killed(laboratory, call):
     """Hang a client in its own process, kill it, and return what the double recorded."""
     control = laboratory.brain.control
     control.clear_record()
@@ -475,7 +469,7 @@ def hung_and_killed(laboratory: Laboratory, call: Call) -> Iterator[str]:
     yield from next_run_is_sound(laboratory, call)
 
 
-def hang(wire: str, control: str, parameters: DaqmxParameters, call: Call) -> None:
+def hang(wire, control, parameters, call):
     """Run the line in a child with a call that never returns."""
     from simulator.doubles.transports.control import DoublesControl
 
@@ -486,7 +480,7 @@ def hang(wire: str, control: str, parameters: DaqmxParameters, call: Call) -> No
             brain=brain, parameters=replace(parameters), forwarder=None, stack=ExitStack(), patch=patch
         )
 
-        def before(phase: str) -> None:
+        def before(phase):
             if phase == call.phase:
                 connected.inject(call.name, "hang")
 

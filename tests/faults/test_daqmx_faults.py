@@ -3,8 +3,6 @@
 `test_daqmx_fault_matrix` goes through every call; here are the faults a laboratory meets by name.
 """
 
-from __future__ import annotations
-
 import math
 import os
 import threading

@@ -3,8 +3,6 @@
 The doubles strike and record in real time. Shots are compared with those of the twin without any crosstalk.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The survey of the boards by `solimon doctor`: every finding with its state, and no strike."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -5,8 +5,6 @@ the counter runs leaves nothing for it to do. It cuts a pulse that began late: w
 the counter hangs on its way to the board.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

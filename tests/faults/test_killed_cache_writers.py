@@ -5,8 +5,6 @@ of answers and a random moment more; each killed one has a successor. The seeds 
 not: whatever comes, the same must hold. Some are killed for certain between writing and renaming.
 """
 
-from __future__ import annotations
-
 import hashlib
 import os
 import random

@@ -6,9 +6,6 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -29,22 +26,13 @@ def starts(path):
 """
 
 
-def supervise(
-    folder: Path,
-    script: str,
-    *,
-    watched: bool = True,
-    stop: threading.Event | None = None,
-    on_message: Callable[[str, Any], None] | None = None,
-    stay: bool = False,
-    **times: float,
-) -> tuple[int, list[Any]]:
+def supervise(folder, script, *, watched=True, stop=None, on_message=None, stay=False, **times):
     """Run one child whose program is ``script``; return exit code and messages without heartbeats."""
     program = folder / "child.py"
     program.write_text(f"{PRELUDE}{script}\ntell('ends', code=0)\n", encoding="utf-8")
-    messages: list[Any] = []
+    messages = []
 
-    def keep(name: str, message: Any) -> None:
+    def keep(name, message):
         if message["event"] not in ("beat", "restarts"):
             messages.append(message)
         if on_message is not None:
@@ -63,7 +51,7 @@ def supervise(
     return code, messages
 
 
-def test_a_child_leaves_when_its_pipe_closes(tmp_path: Path) -> None:
+def test_a_child_leaves_when_its_pipe_closes(tmp_path):
     stop = threading.Event()
     script = """
 tell("ready")
@@ -75,7 +63,7 @@ starts(sys.argv[1])
     assert (tmp_path / "starts").read_text() == "x", "it sees the end of its pipe and is not killed"
 
 
-def test_a_child_that_does_not_leave_is_killed(tmp_path: Path) -> None:
+def test_a_child_that_does_not_leave_is_killed(tmp_path):
     stop = threading.Event()
     script = """
 tell("ready", process=os.getpid())
@@ -91,13 +79,13 @@ while True:
             os.kill(messages[0]["process"], signal.SIGTERM)
 
 
-def test_messages_are_one_json_line(capfd: pytest.CaptureFixture[str]) -> None:
+def test_messages_are_one_json_line(capfd):
     notify_supervisor("listening", url="http://127.0.0.1:1/")
     assert json.loads(capfd.readouterr().out) == {"event": "listening", "url": "http://127.0.0.1:1/"}
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows has no pipes that refuse instead of waiting")
-def test_a_stopped_supervisor_does_not_block_its_child() -> None:
+def test_a_stopped_supervisor_does_not_block_its_child():
     """Stopped by a debugger, say: the pipe is full after some hundred lines."""
     script = """
 from daq_service.processes.child import notify_supervisor

@@ -15,7 +15,6 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -23,18 +22,14 @@ import pytest
 from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
 
 from daq_service.settings.file import load_settings
-from daq_service.settings.tree import RigSettings
 from hardware_drivers.daqmx.boards import find_boards, same_serial
 from hardware_drivers.daqmx.connection import Connection
-from hardware_drivers.daqmx.parameters import DaqmxParameters
-from hardware_drivers.niscope.parameters import NiscopeParameters
-from hardware_drivers.serial_port.parameters import SupplyParameters
 
 RIG, STRIKE, LOOPBACK = "SOLIMON_TEST_HARDWARE", "SOLIMON_TEST_STRIKE", "SOLIMON_TEST_LOOPBACK"
 LOAD = "SOLIMON_TEST_LOAD_OHM"
 
 
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_collection_modifyitems(items):
     """Mark every test in this folder."""
     for item in items:
         if Path(__file__).parent in item.path.parents:
@@ -42,7 +37,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 @pytest.fixture(scope="session")
-def rig() -> RigSettings:
+def rig():
     """Return the rig of the configuration."""
     path = os.environ.get(RIG)
     if not path:
@@ -51,7 +46,7 @@ def rig() -> RigSettings:
 
 
 @pytest.fixture(scope="session")
-def parameters(rig: RigSettings) -> DaqmxParameters:
+def parameters(rig):
     """Return the boards under test; the configuration of a rehearsal is taken for a real one."""
     if rig.daqmx is None:
         pytest.skip(f"{os.environ[RIG]} has no [rig.daqmx]")
@@ -59,7 +54,7 @@ def parameters(rig: RigSettings) -> DaqmxParameters:
 
 
 @pytest.fixture(scope="session")
-def probe_parameters(rig: RigSettings) -> NiscopeParameters:
+def probe_parameters(rig):
     """Return the ultrasonic probes under test."""
     if rig.niscope is None:
         pytest.skip(f"{os.environ[RIG]} has no [rig.niscope]")
@@ -67,7 +62,7 @@ def probe_parameters(rig: RigSettings) -> NiscopeParameters:
 
 
 @pytest.fixture(scope="session")
-def supply_parameters(rig: RigSettings) -> SupplyParameters:
+def supply_parameters(rig):
     """Return the supply under test."""
     if rig.supply is None:
         pytest.skip(f"{os.environ[RIG]} has no [rig.supply]")
@@ -75,7 +70,7 @@ def supply_parameters(rig: RigSettings) -> SupplyParameters:
 
 
 @pytest.fixture(scope="session")
-def load_ohm() -> float:
+def load_ohm():
     """Return the resistance at the output of the supply; naming it permits to energize it."""
     load = os.environ.get(LOAD)
     if not load:
@@ -84,14 +79,14 @@ def load_ohm() -> float:
 
 
 @pytest.fixture(scope="session")
-def may_strike() -> None:
+def may_strike():
     """Skip tests that lift strikers without permission."""
     if os.environ.get(STRIKE) != "yes":
         pytest.skip(f"{STRIKE} is not 'yes': no striker is moved")
 
 
 @pytest.fixture
-def loopback(parameters: DaqmxParameters) -> Iterator[Loopback]:
+def loopback(parameters):
     """Return the coil of a position recorded by its own board."""
     position, _, channel = os.environ.get(LOOPBACK, "").partition(":")
     if not channel:

@@ -4,14 +4,12 @@ Run with ``pytest -m hardware``; ``docs/how-to/day-one.md`` says what to wire an
 tests move nothing; those that lift strikers and those that need a wire say so in their reason for a skip.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import datetime, timedelta
 
 import numpy as np
 import pytest
-from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ, Loopback
+from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ
 
 from analysis.waves.features import extract_features
 from daq_service.cli.doctor.spike import spike_check
@@ -21,10 +19,9 @@ from hardware_drivers.daqmx.boards import find_boards, same_serial
 from hardware_drivers.daqmx.coil import commit_coil
 from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.daqmx.look import digital_name
-from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.daqmx.survey import survey_rig
 from hardware_drivers.errors import AcquisitionTimeoutError
-from hardware_drivers.measurement import ShotKey, Waveform
+from hardware_drivers.measurement import ShotKey
 
 TTL_LOW_V, TTL_HIGH_V = 0.8, 2.0
 """Levels of TTL inputs, which the coil driver's input obeys."""
@@ -36,12 +33,12 @@ RECORDS = 300
 # Nothing moves --------------------------------------------------------------------------------------
 
 
-def test_the_boards_use_the_configured_wiring(parameters: DaqmxParameters) -> None:
+def test_the_boards_use_the_configured_wiring(parameters):
     failed = [finding for finding in survey_rig(parameters).findings if finding.state == "fail"]
     assert failed == []
 
 
-def test_the_coils_lines_power_up_low(parameters: DaqmxParameters) -> None:
+def test_the_coils_lines_power_up_low(parameters):
     """X Series keep a power-up state for each line; the others need the resistor of the wiring page."""
     from nidaqmx.constants import PowerUpStates
     from nidaqmx.system import System
@@ -68,7 +65,7 @@ def test_the_coils_lines_power_up_low(parameters: DaqmxParameters) -> None:
         connection.close()
 
 
-def test_records_at_the_asked_rate_come_whole_one_after_the_other(parameters: DaqmxParameters) -> None:
+def test_records_at_the_asked_rate_come_whole_one_after_the_other(parameters):
     """Memory transfers at full rate: an overflow or a lost sample is an error of the read."""
     rehearsal = replace(parameters, dry_run=True)
     with open_daqmx(rehearsal) as rig:
@@ -80,7 +77,7 @@ def test_records_at_the_asked_rate_come_whole_one_after_the_other(parameters: Da
             assert waveform.sample_rate_hz == pytest.approx(parameters.sample_rate_hz, rel=1e-6)
 
 
-def test_noise_differs_from_record_to_record(parameters: DaqmxParameters) -> None:
+def test_noise_differs_from_record_to_record(parameters):
     """A buffer handed over twice would look like a quiet input."""
     position = next(iter(parameters.transducers))
     seen = []
@@ -91,7 +88,7 @@ def test_noise_differs_from_record_to_record(parameters: DaqmxParameters) -> Non
     assert not np.array_equal(*seen)
 
 
-def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters: DaqmxParameters) -> None:
+def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters):
     with open_daqmx(replace(parameters, dry_run=True)) as rig:
         done = rig.self_calibrating.self_calibrate()
         position = next(iter(parameters.transducers))
@@ -112,7 +109,7 @@ def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters
 # Strikers move --------------------------------------------------------------------------------------
 
 
-def one_shot(parameters: DaqmxParameters, position: str) -> Waveform:
+def one_shot(parameters, position):
     """Return the record of one strike through the driver's own instruments: arm, strike, read."""
     key = ShotKey(position=position, set_index=0, shot_index=0)
     with open_daqmx(parameters) as rig:
@@ -122,7 +119,7 @@ def one_shot(parameters: DaqmxParameters, position: str) -> Waveform:
 
 
 @pytest.mark.usefixtures("may_strike")
-def test_each_striker_makes_a_wave_that_passes_its_own_trigger(parameters: DaqmxParameters) -> None:
+def test_each_striker_makes_a_wave_that_passes_its_own_trigger(parameters):
     """The comparator's level against the ADC's: the driver refuses a record that does not pass it there."""
     for position, wiring in parameters.transducers.items():
         waveform = one_shot(parameters, position)
@@ -137,7 +134,7 @@ def test_each_striker_makes_a_wave_that_passes_its_own_trigger(parameters: Daqmx
 # A wire from a coil's output to an input ------------------------------------------------------------
 
 
-def high_s(waveform: Waveform) -> float:
+def high_s(waveform):
     """Return how long the line is high in a record with one pulse."""
     high = np.flatnonzero(waveform.volts() > TTL_HIGH_V)
     assert high.size, "the line never went high"
@@ -145,7 +142,7 @@ def high_s(waveform: Waveform) -> float:
     return float(high.size / waveform.sample_rate_hz)
 
 
-def test_the_coil_is_on_for_exactly_its_pulse(loopback: Loopback) -> None:
+def test_the_coil_is_on_for_exactly_its_pulse(loopback):
     waveform = one_shot(loopback.parameters, loopback.position)
     volts = waveform.volts()
     # Both ends fall between two samples; the counter runs on the clock that times the samples.
@@ -156,17 +153,17 @@ def test_the_coil_is_on_for_exactly_its_pulse(loopback: Loopback) -> None:
 
 
 @pytest.mark.parametrize("level_v", [0.5, 1.0, 2.0])
-def test_the_comparator_triggers_at_levels_within_the_pulse(loopback: Loopback, level_v: float) -> None:
+def test_the_comparator_triggers_at_levels_within_the_pulse(loopback, level_v):
     volts = one_shot(loopback.at_level(level_v), loopback.position).volts()
     assert volts[LOOPBACK_PRETRIGGER - 3] < level_v < volts[LOOPBACK_PRETRIGGER + 3]
 
 
-def test_the_comparator_does_not_trigger_above_the_pulse(loopback: Loopback) -> None:
+def test_the_comparator_does_not_trigger_above_the_pulse(loopback):
     with pytest.raises(AcquisitionTimeoutError):
         one_shot(loopback.at_level(8.0), loopback.position)
 
 
-def test_the_board_starts_with_the_coil_s_counter_and_delays_by_what_is_asked(loopback: Loopback) -> None:
+def test_the_board_starts_with_the_coil_s_counter_and_delays_by_what_is_asked(loopback):
     """The route and the delay that a holdoff is made of: started by the pulse, delayed by half of it."""
     from nidaqmx.constants import DigitalWidthUnits
 
@@ -192,7 +189,7 @@ def test_the_board_starts_with_the_coil_s_counter_and_delays_by_what_is_asked(lo
         assert high_s(waveform) == pytest.approx(left_s, abs=2.0 / LOOPBACK_RATE_HZ)
 
 
-def test_a_holdoff_hides_the_pulse_from_the_trigger(loopback: Loopback) -> None:
+def test_a_holdoff_hides_the_pulse_from_the_trigger(loopback):
     """The line rises through the level with each pulse: held off, nothing triggers."""
     # At the loopback's rate the pre-trigger takes 10 ms of the fall; the rest is shared.
     held_off = replace(loopback.parameters, pretrigger_samples=2, holdoff_s=0.5 * loopback.parameters.fall_s)
@@ -201,7 +198,7 @@ def test_a_holdoff_hides_the_pulse_from_the_trigger(loopback: Loopback) -> None:
 
 
 @pytest.mark.usefixtures("may_strike")
-def test_no_coil_takes_the_trigger_as_configured(parameters: DaqmxParameters) -> None:
+def test_no_coil_takes_the_trigger_as_configured(parameters):
     """One strike each without a trigger: what the coil couples in has rung out when the trigger is armed."""
     for position in parameters.transducers:
         check, _ = spike_check(parameters, position, READ_TIMEOUT_S)
@@ -209,7 +206,7 @@ def test_no_coil_takes_the_trigger_as_configured(parameters: DaqmxParameters) ->
 
 
 @pytest.mark.usefixtures("may_strike")
-def test_each_wave_comes_after_the_holdoff(parameters: DaqmxParameters) -> None:
+def test_each_wave_comes_after_the_holdoff(parameters):
     """Held off for half the fall, every striker's wave is recorded all the same, and is no spike."""
     for position in parameters.transducers:
         waveform = one_shot(replace(parameters, holdoff_s=0.5 * parameters.fall_s, ringing_s=0.0), position)
@@ -217,7 +214,7 @@ def test_each_wave_comes_after_the_holdoff(parameters: DaqmxParameters) -> None:
         assert not {"missed", "false_trigger"} & set(flags), f"{position}: {flags}"
 
 
-def test_no_other_coil_reaches_this_one(loopback: Loopback, parameters: DaqmxParameters) -> None:
+def test_no_other_coil_reaches_this_one(loopback, parameters):
     """Routes that a task gave up may stay connected: then two coils would pulse."""
     serial = loopback.board.serial
     others = [
@@ -251,7 +248,7 @@ def test_no_other_coil_reaches_this_one(loopback: Loopback, parameters: DaqmxPar
         assert np.abs(volts).max() < TTL_LOW_V, f"{loopback.position}'s line moved while {other} was struck"
 
 
-def test_the_line_is_low_when_the_task_is_committed_and_when_it_is_gone(loopback: Loopback) -> None:
+def test_the_line_is_low_when_the_task_is_committed_and_when_it_is_gone(loopback):
     for committed in (True, False):
         coil = commit_coil(loopback.connection, loopback.parameters, loopback.position, loopback.board)
         if not committed:
@@ -276,7 +273,7 @@ def test_the_line_is_low_when_the_task_is_committed_and_when_it_is_gone(loopback
         assert np.abs(volts).max() < TTL_LOW_V, "committed" if committed else "cleared"
 
 
-def test_the_watchdog_cuts_a_pulse_short(loopback: Loopback) -> None:
+def test_the_watchdog_cuts_a_pulse_short(loopback):
     """The watchdog is not reset: half-way through the pulse the board itself pulls the line low."""
     from nidaqmx.constants import Level
     from nidaqmx.types import DOExpirationState

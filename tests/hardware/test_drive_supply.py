@@ -7,7 +7,6 @@ come only where ``SOLIMON_TEST_LOAD_OHM`` says that it is there, and each ends w
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
@@ -18,7 +17,6 @@ from daq_service.clock import WallClock
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import SupplyLogger
 from hardware_drivers.errors import ConfigurationError
-from hardware_drivers.measurement import SupplyReading
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.serial_port.parameters import SupplyParameters
 from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
@@ -41,18 +39,18 @@ class Load:
     parameters: SupplyParameters
 
     @property
-    def voltage_v(self) -> float:
+    def voltage_v(self):
         """Return the voltage of the supply, reduced where the resistor would become warm."""
         return min(self.parameters.voltage_v, math.sqrt(MOST_W * self.resistance_ohm))
 
     @property
-    def current_a(self) -> float:
+    def current_a(self):
         """Return the current at that voltage."""
         return self.voltage_v / self.resistance_ohm
 
 
 @pytest.fixture
-def supply(supply_parameters: SupplyParameters) -> Iterator[ScpiPowerSupply]:
+def supply(supply_parameters):
     """Yield the supply; check that it is off before and after."""
     opened = ScpiPowerSupply(supply_parameters, stamp=stamp_now)
     try:
@@ -69,7 +67,7 @@ def supply(supply_parameters: SupplyParameters) -> Iterator[ScpiPowerSupply]:
 
 
 @pytest.fixture
-def load(supply_parameters: SupplyParameters, load_ohm: float) -> Load:
+def load(supply_parameters, load_ohm):
     """Return the current of the resistor, limited by the caps of the configuration."""
     its = Load(resistance_ohm=load_ohm, parameters=supply_parameters)
     if 2.0 * its.current_a > supply_parameters.current_cap_a:
@@ -80,7 +78,7 @@ def load(supply_parameters: SupplyParameters, load_ohm: float) -> Load:
 
 
 @contextmanager
-def energised(supply: ScpiPowerSupply, voltage_v: float, current_limit_a: float) -> Iterator[SupplyReading]:
+def energised(supply, voltage_v, current_limit_a):
     """Switch the output on within this block only."""
     try:
         supply.energise(voltage_v, current_limit_a)
@@ -89,7 +87,7 @@ def energised(supply: ScpiPowerSupply, voltage_v: float, current_limit_a: float)
         supply.make_safe()
 
 
-def is_off(supply: ScpiPowerSupply) -> bool:
+def is_off(supply):
     """Return whether both queries read the output back as off."""
     reading = supply.read(READ_TIMEOUT_S)
     state = supply.read_back(READ_TIMEOUT_S)
@@ -99,7 +97,7 @@ def is_off(supply: ScpiPowerSupply) -> bool:
 # Nothing is energised -------------------------------------------------------------------------------
 
 
-def test_the_supply_reports_its_identity_and_setpoints(supply: ScpiPowerSupply) -> None:
+def test_the_supply_reports_its_identity_and_setpoints(supply):
     identity = supply.identity()
     assert identity["maker"] or identity["model"]
     state = supply.read_back(READ_TIMEOUT_S)
@@ -109,9 +107,7 @@ def test_the_supply_reports_its_identity_and_setpoints(supply: ScpiPowerSupply) 
     assert float(state["set_current_limit_a"]) > 0.0
 
 
-def test_a_command_above_the_caps_sets_nothing(
-    supply: ScpiPowerSupply, supply_parameters: SupplyParameters
-) -> None:
+def test_a_command_above_the_caps_sets_nothing(supply, supply_parameters):
     before = supply.read_back(READ_TIMEOUT_S)
     with pytest.raises(ConfigurationError, match="nothing was sent"):
         supply.energise(1.01 * supply_parameters.voltage_cap_v, supply_parameters.current_limit_a)
@@ -123,7 +119,7 @@ def test_a_command_above_the_caps_sets_nothing(
 # A resistor is wired to the output ------------------------------------------------------------------
 
 
-def test_it_holds_its_voltage_and_reads_back_what_was_set(supply: ScpiPowerSupply, load: Load) -> None:
+def test_it_holds_its_voltage_and_reads_back_what_was_set(supply, load):
     parameters = load.parameters
     with energised(supply, load.voltage_v, 2.0 * load.current_a) as reading:
         state = supply.read_back(READ_TIMEOUT_S)
@@ -137,7 +133,7 @@ def test_it_holds_its_voltage_and_reads_back_what_was_set(supply: ScpiPowerSuppl
     assert is_off(supply)
 
 
-def test_its_limit_holds_the_current_and_lets_the_voltage_go(supply: ScpiPowerSupply, load: Load) -> None:
+def test_its_limit_holds_the_current_and_lets_the_voltage_go(supply, load):
     parameters, limit_a = load.parameters, 0.5 * load.current_a
     with energised(supply, load.voltage_v, limit_a) as reading:
         pass
@@ -149,7 +145,7 @@ def test_its_limit_holds_the_current_and_lets_the_voltage_go(supply: ScpiPowerSu
     assert is_off(supply)
 
 
-def test_the_interlock_switches_off_at_its_current(supply: ScpiPowerSupply, load: Load) -> None:
+def test_the_interlock_switches_off_at_its_current(supply, load):
     """As a hole or a short circuit would: the drive itself reads, trips, switches off and stays off."""
     parameters = replace(load.parameters, interlock_current_a=0.5 * load.current_a, log_interval_s=0.1)
     clock = WallClock()
@@ -167,7 +163,7 @@ def test_the_interlock_switches_off_at_its_current(supply: ScpiPowerSupply, load
     assert is_off(supply), "nothing but a person's order switches it on again"
 
 
-def test_a_failure_while_the_output_is_on_switches_it_off(supply: ScpiPowerSupply, load: Load) -> None:
+def test_a_failure_while_the_output_is_on_switches_it_off(supply, load):
     class FellOverError(Exception):
         """Any error of a user of the supply."""
 
@@ -176,9 +172,7 @@ def test_a_failure_while_the_output_is_on_switches_it_off(supply: ScpiPowerSuppl
     assert is_off(supply)
 
 
-def test_a_restarted_driver_finds_the_output_on_and_switches_it_off(
-    supply: ScpiPowerSupply, load: Load
-) -> None:
+def test_a_restarted_driver_finds_the_output_on_and_switches_it_off(supply, load):
     """A process that ended leaves the output as it is; who comes next sees that before it does anything."""
     try:
         supply.energise(load.voltage_v, 2.0 * load.current_a)

@@ -3,19 +3,14 @@
 Nothing is switched or fired: the pulser-receiver is on, its probe on the specimen.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from datetime import date, datetime, timedelta
 
 import numpy as np
-import numpy.typing as npt
 import pytest
 
 from hardware_drivers.errors import ConfigurationError
-from hardware_drivers.instruments import Echo
 from hardware_drivers.measurement import ShotKey
-from hardware_drivers.niscope.parameters import NiscopeParameters
 from hardware_drivers.niscope.pulse_echo import open_niscope
 
 FEW, MANY = 1, 16
@@ -27,7 +22,7 @@ GAIN_ERROR = 0.02
 """Far beyond a board's own (PXI-5122: 0.65 %), far below a wrong scale."""
 
 
-def echoes(parameters: NiscopeParameters, position: str, number: int) -> list[Echo]:
+def echoes(parameters, position, number):
     """Return consecutive records."""
     with open_niscope(replace(parameters, probes={position: parameters.probes[position]})) as unit:
         return [
@@ -36,18 +31,18 @@ def echoes(parameters: NiscopeParameters, position: str, number: int) -> list[Ec
         ]
 
 
-def volts(echo: Echo) -> npt.NDArray[np.float64]:
+def volts(echo):
     """Return a record in V."""
     return np.asarray(echo.waveform.volts(), dtype=np.float64)
 
 
-def noise_v(one: Echo, other: Echo) -> float:
+def noise_v(one, other):
     """Return the standard deviation from the difference of two records, in their quieter half."""
     parts = np.array_split(volts(one) - volts(other), PARTS)
     return float(np.median([part.std() for part in parts])) / np.sqrt(2.0)
 
 
-def test_records_come_whole_at_the_asked_rate_and_range(probe_parameters: NiscopeParameters) -> None:
+def test_records_come_whole_at_the_asked_rate_and_range(probe_parameters):
     for position, wiring in probe_parameters.probes.items():
         one, other = echoes(probe_parameters, position, 2)
         for echo in (one, other):
@@ -60,7 +55,7 @@ def test_records_come_whole_at_the_asked_rate_and_range(probe_parameters: Niscop
         assert not np.array_equal(one.waveform.counts, other.waveform.counts), "a buffer handed over twice"
 
 
-def test_averaging_lets_noise_fall_with_the_root_of_the_number(probe_parameters: NiscopeParameters) -> None:
+def test_averaging_lets_noise_fall_with_the_root_of_the_number(probe_parameters):
     for position in probe_parameters.probes:
         found = {}
         for averages in (FEW, MANY):
@@ -73,7 +68,7 @@ def test_averaging_lets_noise_fall_with_the_root_of_the_number(probe_parameters:
         assert found[FEW] / found[MANY] == pytest.approx((MANY / FEW) ** 0.5, rel=0.35), position
 
 
-def test_a_wider_range_has_a_larger_step_and_the_same_volts(probe_parameters: NiscopeParameters) -> None:
+def test_a_wider_range_has_a_larger_step_and_the_same_volts(probe_parameters):
     for position, wiring in probe_parameters.probes.items():
         (narrow,) = echoes(probe_parameters, position, 1)
         for ratio in WIDER:
@@ -93,7 +88,7 @@ def test_a_wider_range_has_a_larger_step_and_the_same_volts(probe_parameters: Ni
         assert np.abs(volts(wide) - volts(narrow)).max() < slack_v, position
 
 
-def test_self_calibration_is_dated_today(probe_parameters: NiscopeParameters) -> None:
+def test_self_calibration_is_dated_today(probe_parameters):
     for position, wiring in probe_parameters.probes.items():
         with open_niscope(replace(probe_parameters, probes={position: wiring})) as unit:
             done = unit.self_calibrate()

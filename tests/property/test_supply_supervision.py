@@ -7,11 +7,10 @@ import logging
 import os
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, Phase, settings
@@ -58,7 +57,7 @@ LONGEST_S = PLAIN.unwatched_s + POLL_S + REPLACED_WITHIN_S + ROUNDS_S
 class Process:
     """Process that may drive the supply."""
 
-    def __init__(self, world: "World", parameters: SupplyParameters) -> None:
+    def __init__(self, world, parameters):
         self.world, self.stalled = world, False
         self.server = Server(KEY)
         address = Address(port=self.server.port, key=KEY.hex(), fingerprint=fingerprint(parameters))
@@ -73,48 +72,48 @@ class Process:
             jobs=self.put,
         )
 
-    def put(self, job: Callable[[], None]) -> None:
+    def put(self, job):
         self.job = job
         self.write()
 
-    def write(self) -> None:
+    def write(self):
         if self.job is not None and not self.world.disk_hangs:
             self.job, job = None, self.job
             job()
 
-    def run(self) -> None:
+    def run(self):
         self.drive.step()
         self.server.serve(0.0, self.drive.answer)
 
-    def die(self) -> None:
+    def die(self):
         self.drive.close()
         self.server.__exit__()
         self.world.processes.remove(self)
 
     @property
-    def drives(self) -> bool:
+    def drives(self):
         return not self.stalled and self.drive._released_ns is None
 
     @property
-    def commanded(self) -> bool:
+    def commanded(self):
         return self.drive._drive.state.command is not None
 
 
 class Started:
     """Result of a start: running, or not yet."""
 
-    def __init__(self, world: "World", parameters: SupplyParameters) -> None:
+    def __init__(self, world, parameters):
         self.world, self.parameters, self.returncode = world, parameters, None
         self.process: Process | None = None
 
-    def poll(self) -> int | None:
+    def poll(self):
         return None if self in self.world.starting or self.process in self.world.processes else 0
 
 
 class World:
     """Supply, its processes, and the folder that they share."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder, self.clock = folder, TestClock()
         self.supply, self.nothing = ScriptedSupply(self.clock), ScriptedSupply(self.clock)
         self.nothing.error = LOST
@@ -124,25 +123,25 @@ class World:
         self.ran_ns = self.clock.now_ns
 
     @contextmanager
-    def port(self, name: str) -> Iterator[ScriptedSupply]:
+    def port(self, name):
         yield self.supply if name == "COM4" else self.nothing
 
-    def mono_s(self) -> float:
+    def mono_s(self):
         return self.clock.now_ns / 1e9
 
-    def start(self, parameters: SupplyParameters) -> Started:
+    def start(self, parameters):
         self.starting.append(Started(self, parameters))
         return self.starting[-1]
 
-    def owner(self) -> Process | None:
+    def owner(self):
         return next((one for one in self.processes if one.drive._released_ns is None), None)
 
-    def kill(self, number: int) -> None:
+    def kill(self, number):
         assert number == os.getpid()
         if (owner := self.owner()) is not None:
             owner.die()
 
-    def run(self) -> None:
+    def run(self):
         for started in self.starting[:]:
             self.starting.remove(started)
             if is_owned(self.folder, DRIVE_LOCK) is False:
@@ -170,7 +169,7 @@ class World:
 class Supervision(RuleBasedStateMachine):
     """Rule: while any capable process runs, an output without a command is off in time."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.folder = Path(tempfile.mkdtemp())
         self.world = World(self.folder)
@@ -186,12 +185,12 @@ class Supervision(RuleBasedStateMachine):
         self.parameters = PLAIN
         self.on_s = self.unwanted_s = 0.0
 
-    def _write(self, path: Path, content: bytes, *, temporary: Path) -> None:
+    def _write(self, path, content, *, temporary):
         if self.world.disk_hangs:
             raise OSError("a write that does not end")  # of a recorder: no process waits for one
         path.write_bytes(content)
 
-    def teardown(self) -> None:
+    def teardown(self):
         for one in (self.recorder, self.guarding):
             if one is not None:
                 one._disconnect("")
@@ -203,7 +202,7 @@ class Supervision(RuleBasedStateMachine):
 
     # Time ------------------------------------------------------------------------------------------
 
-    def pass_time(self, seconds: float) -> None:
+    def pass_time(self, seconds):
         for _ in range(round(seconds / STEP_S)):
             self.world.clock.advance(STEP_S)
             if self.recorder is not None and not self.recorder_stalled:
@@ -213,7 +212,7 @@ class Supervision(RuleBasedStateMachine):
             self.world.run()
             self.check()
 
-    def check(self) -> None:
+    def check(self):
         world = self.world
         answers = world.supply.error is None
         drivers = [one for one in world.processes if one.drives and one.drive._supply_port == "COM4"]
@@ -237,7 +236,7 @@ class Supervision(RuleBasedStateMachine):
             limit_s = PLAIN.unwatched_s + POLL_S + ROUNDS_S
             assert not (process.commanded and silent_s > limit_s), f"unwatched for {silent_s:g} s"
 
-    def _can_reach(self) -> bool:
+    def _can_reach(self):
         """Return whether a running process knows the port of this supply."""
         parameters = [one.drive._parameters for one in self.world.processes if not one.stalled]
         parameters += [] if self.recorder is None else [self.recorder._parameters]
@@ -245,24 +244,24 @@ class Supervision(RuleBasedStateMachine):
         return any(one.line.port == "COM4" for one in parameters)
 
     @initialize()
-    def begins(self) -> None:
+    def begins(self):
         self.start_recorder("same", 5.0)
         self.change_supervisor()
         self.command("on")
 
     @rule(seconds=st.sampled_from([1.0, 5.0, 20.0]))
-    def time_passes(self, seconds: float) -> None:
+    def time_passes(self, seconds):
         self.pass_time(seconds)
 
     @rule()
-    def long_time_passes(self) -> None:
+    def long_time_passes(self):
         self.pass_time(LONGEST_S + 5.0)
 
     # A person ----------------------------------------------------------------------------------------
 
     @precondition(lambda self: self.recorder is not None and not self.recorder_stalled)
     @rule(what=st.sampled_from(["on", "on", "off", "trip"]))
-    def command(self, what: str) -> None:
+    def command(self, what):
         assert self.recorder is not None
         if what == "on":
             self.recorder.energise("Ada")
@@ -273,13 +272,13 @@ class Supervision(RuleBasedStateMachine):
         self.pass_time(2.0)
 
     @rule(on=st.booleans(), current_a=st.sampled_from([0.2, 0.2, 0.95]))
-    def output_changes_from_outside(self, on: bool, current_a: float) -> None:
+    def output_changes_from_outside(self, on, current_a):
         self.world.supply.on, self.world.supply.current_a = on, current_a
 
     # Faults ------------------------------------------------------------------------------------------
 
     @rule(what=st.sampled_from(["link", "link", "disk", "disk", "file"]))
-    def link_or_disk_fails_or_returns(self, what: str) -> None:
+    def link_or_disk_fails_or_returns(self, what):
         if what == "file":
             (self.folder / DRIVE_FILE).write_bytes(b"torn")
         elif what == "disk":
@@ -289,8 +288,8 @@ class Supervision(RuleBasedStateMachine):
 
     @precondition(lambda self: self.world.processes)
     @rule(what=st.sampled_from(["kill", "stall", "stall", "resume", "stop"]), newest=st.booleans())
-    def process_suffers(self, what: str, newest: bool) -> None:
-        process: Any = self.world.processes[-1 if newest else 0]
+    def process_suffers(self, what, newest):
+        process = self.world.processes[-1 if newest else 0]
         if what == "kill":
             process.die()
         elif what == "stop" and not process.stalled:
@@ -302,7 +301,7 @@ class Supervision(RuleBasedStateMachine):
 
     @precondition(lambda self: self.recorder is not None)
     @rule(what=st.sampled_from(["kill", "stall", "resume", "end"]))
-    def recorder_suffers(self, what: str) -> None:
+    def recorder_suffers(self, what):
         assert self.recorder is not None
         if what in ("stall", "resume"):
             self.recorder_stalled = what == "stall"
@@ -317,7 +316,7 @@ class Supervision(RuleBasedStateMachine):
 
     @precondition(lambda self: self.recorder is None and self.world.processes)
     @rule()
-    def successor_dies_before_it_reads(self) -> None:
+    def successor_dies_before_it_reads(self):
         error, self.world.supply.error = self.world.supply.error, LOST
         self.start_recorder("another limit", 2.0)
         self.recorder_suffers("kill")
@@ -327,7 +326,7 @@ class Supervision(RuleBasedStateMachine):
 
     @precondition(lambda self: self.recorder is None)
     @rule(configuration=st.sampled_from(list(CONFIGURATIONS)), seconds=st.sampled_from([1.0, 2.0, 5.0]))
-    def start_recorder(self, configuration: str, seconds: float) -> None:
+    def start_recorder(self, configuration, seconds):
         parameters, world = CONFIGURATIONS[configuration], self.world
         if parameters is not self.parameters:
             self.parameters = parameters
@@ -345,7 +344,7 @@ class Supervision(RuleBasedStateMachine):
         self.pass_time(seconds)
 
     @rule()
-    def change_supervisor(self) -> None:
+    def change_supervisor(self):
         """Start or kill the supervisor."""
         if self.guarding is not None:
             self.guarding._disconnect("killed")
@@ -365,7 +364,7 @@ class Supervision(RuleBasedStateMachine):
         )
 
 
-def _settings(runs: int) -> settings:
+def _settings(runs):
     return settings(
         max_examples=runs,
         stateful_step_count=50,

@@ -9,8 +9,6 @@ import subprocess
 import sys
 from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from types import ModuleType
-from typing import Any
 
 import pytest
 
@@ -18,7 +16,7 @@ SCRIPT = Path(__file__).parents[2] / "benchmarks" / "detection_over_seeds.py"
 
 
 @pytest.fixture(scope="module")
-def detection() -> ModuleType:
+def detection():
     spec = spec_from_file_location("detection_over_seeds", SCRIPT)
     assert spec is not None
     assert spec.loader is not None
@@ -29,7 +27,7 @@ def detection() -> ModuleType:
 
 
 @pytest.mark.parametrize("position", ["B", pytest.param("C", marks=pytest.mark.slow)])
-def test_a_corroding_position_alarms_before_thirty_per_cent(detection: ModuleType, position: str) -> None:
+def test_a_corroding_position_alarms_before_thirty_per_cent(detection, position):
     run = detection.Run(position=position, seed=1, scale=1.0, drift=True, hours=60.0, why=True)
     outcome = detection.assess_run(run)
     assert outcome.n_baseline == 48
@@ -45,11 +43,11 @@ def test_a_corroding_position_alarms_before_thirty_per_cent(detection: ModuleTyp
 
 
 @pytest.fixture(scope="module")
-def pristine(detection: ModuleType) -> Any:
+def pristine(detection):
     return detection.assess_run(detection.Run(position="D", seed=1, scale=1.0, drift=False, hours=60.0))
 
 
-def test_a_pristine_position_keeps_the_design_false_alarm_rate(detection: ModuleType, pristine: Any) -> None:
+def test_a_pristine_position_keeps_the_design_false_alarm_rate(detection, pristine):
     outcome = pristine
     low, high, expected = detection.predictive_counts([outcome], draws=400)
     assert outcome.first_alarm_h is None
@@ -59,7 +57,7 @@ def test_a_pristine_position_keeps_the_design_false_alarm_rate(detection: Module
 
 
 @pytest.mark.slow
-def test_eleven_seeds_keep_the_documented_rates() -> None:
+def test_eleven_seeds_keep_the_documented_rates():
     """The documented command; its exit code is 1 for a late alarm or a pooled count outside 99.5 %."""
     done = subprocess.run(
         [sys.executable, str(SCRIPT), "--json"], capture_output=True, text=True, check=False

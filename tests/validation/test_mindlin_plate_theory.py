@@ -9,7 +9,7 @@ from scipy.sparse.linalg import eigsh, splu
 from simulator.materials import bending_stiffness_n_m, plane_modulus_pa, shear_modulus_pa
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.element import SHEAR_CORRECTION
-from simulator.plate.mindlin.plate import AffinePlate, assemble, build_plate, plate_thinning
+from simulator.plate.mindlin.plate import assemble, build_plate, plate_thinning
 
 PAPER = PlateParameters()
 PATCH = CorrosionParameters()
@@ -29,18 +29,18 @@ def uniform_plate(elements, *, width_m=0.6, height_m=0.6, thickness_m=6e-3, supp
     return plate, assemble(plate, x, y, plate_thinning(x, y, PATCH), symmetric=(True, True))
 
 
-def compliance(plate: AffinePlate, depth: float = 0.0) -> float:
+def compliance(plate, depth=0.0):
     stiffness, _ = plate.at_depth(depth)
     return float(plate.load @ splu(stiffness).solve(plate.load))
 
 
-def lowest_frequencies_hz(plate: AffinePlate, count: int):
+def lowest_frequencies_hz(plate, count):
     stiffness, mass = plate.at_depth(0.0)
     eigenvalues = eigsh(stiffness, k=count, M=mass, sigma=0.0, return_eigenvectors=False)
     return np.sqrt(np.sort(eigenvalues)) / (2 * np.pi)
 
 
-def mindlin_frequency_hz(plate: PlateParameters, m: int, n: int) -> float:
+def mindlin_frequency_hz(plate, m, n):
     """Lower root of Mindlin's dispersion relation for ``sin(m pi x / a) sin(n pi y / b)``, hard support.
 
     ``(kappa G h k^2 - rho h w^2) (D k^2 + kappa G h - rho h^3 w^2 / 12) = (kappa G h k)^2``

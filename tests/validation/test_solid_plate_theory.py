@@ -15,7 +15,7 @@ from simulator.plate.solid.contact import (
     hertz_transform,
     surface_flexibility_m_per_pa,
 )
-from simulator.plate.solid.plate import SolidPlate, assembled_solid, build_solid_plate
+from simulator.plate.solid.plate import assembled_solid, build_solid_plate
 from simulator.plate.solid.reduction import krylov_fields, project, shifted_solver
 
 THICK = PlateParameters(
@@ -30,7 +30,7 @@ THICK = PlateParameters(
 PAPER = PlateParameters()
 
 
-def evenly_meshed(parameters, elements, degree) -> SolidPlate:
+def evenly_meshed(parameters, elements, degree):
     """Pristine quarter; the patch over the whole plate has no edge within it."""
     x, y = (
         Axis(breaks_m=np.linspace(0.0, 0.5 * length, elements + 1), degrees=(degree,) * elements)
@@ -41,13 +41,13 @@ def evenly_meshed(parameters, elements, degree) -> SolidPlate:
     return assembled_solid(parameters, patch, x, y, z, "quarter")
 
 
-def driven_frequency_hz(plate: SolidPlate, expected_hz: float) -> float:
+def driven_frequency_hz(plate, expected_hz):
     """Frequency of the mode that the load drives nearest to the expected one."""
     found = project(plate, krylov_fields(plate, 60)).modes(1.0, 0.0).omega_rad_per_s / (2.0 * np.pi)
     return float(found[np.argmin(np.abs(found - expected_hz))])
 
 
-def exact_frequency_hz(plate: PlateParameters, m: int, n: int) -> float:
+def exact_frequency_hz(plate, m, n):
     """Lowest frequency of ``u = U(z) cos ax sin by, v = V(z) sin ax cos by, w = W(z) sin ax sin by``.
 
     Exact for hard simple support (Srinivas, Rao and Rao 1970, doi:10.1016/0022-460X(70)90089-1). U, V, W
@@ -81,7 +81,7 @@ def exact_frequency_hz(plate: PlateParameters, m: int, n: int) -> float:
     return float(np.sqrt(linalg.eigh(stiffness, mass, eigvals_only=True)[0]) / (2 * np.pi))
 
 
-def series_contact_compliance(plate: PlateParameters, count: int) -> float:
+def series_contact_compliance(plate, count):
     """Average deflection of the circle of contact under a unit force: the plain series of sines."""
     odd = np.arange(1, 2 * count, 2)
     m, n = np.meshgrid(odd, odd)

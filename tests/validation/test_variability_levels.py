@@ -11,7 +11,7 @@ SCRIPT = Path(__file__).parents[2] / "benchmarks" / "nuisance_levels.py"
 
 
 @pytest.mark.slow
-def test_a_short_study_assesses_every_set_after_the_baseline_and_detects_the_wall() -> None:
+def test_a_short_study_assesses_every_set_after_the_baseline_and_detects_the_wall():
     command = [
         sys.executable,
         str(SCRIPT),

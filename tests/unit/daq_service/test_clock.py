@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import pytest
 
 from daq_service.clock import (
@@ -13,37 +11,37 @@ from daq_service.clock import (
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 
-def always() -> bool:
+def always():
     return True
 
 
 class FakeWall:
     """Wall time that advances only in sleep."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now_ns = 5 * NS_PER_S
 
-    def __call__(self) -> int:
+    def __call__(self):
         return self.now_ns
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         self.now_ns += round(seconds * NS_PER_S)
 
 
-def test_a_time_survives_being_written_and_read() -> None:
+def test_a_time_survives_being_written_and_read():
     assert format_utc(parse_utc("2024-01-01T12:30:00.250Z"), 3) == "2024-01-01T12:30:00.250Z"
 
 
-def test_a_time_east_of_greenwich_is_turned_into_utc() -> None:
+def test_a_time_east_of_greenwich_is_turned_into_utc():
     assert parse_utc("2024-01-01T02:00:00+02:00") == parse_utc("2024-01-01T00:00:00Z")
 
 
-def test_a_time_without_an_offset_is_refused() -> None:
+def test_a_time_without_an_offset_is_refused():
     with pytest.raises(ValueError, match="no UTC offset"):
         parse_utc("2024-01-01T00:00:00")
 
 
-def test_the_simulated_clock_jumps_without_sleeping() -> None:
+def test_the_simulated_clock_jumps_without_sleeping():
     wall = FakeWall()
     clock = SimulatedClock(0, sleep=wall.sleep, wall_ns=wall)
     assert clock.wait_until(350 * NS_PER_H, always)
@@ -51,20 +49,20 @@ def test_the_simulated_clock_jumps_without_sleeping() -> None:
     assert wall.now_ns == 5 * NS_PER_S
 
 
-def test_a_time_in_the_past_does_not_set_the_clock_back() -> None:
+def test_a_time_in_the_past_does_not_set_the_clock_back():
     clock = SimulatedClock(NS_PER_H)
     assert clock.wait_until(0, always)
     assert clock.utc_ns() == NS_PER_H
 
 
-def test_a_paced_clock_takes_the_wall_time_of_its_pace() -> None:
+def test_a_paced_clock_takes_the_wall_time_of_its_pace():
     wall = FakeWall()
     clock = SimulatedClock(0, pace_h_per_s=5.0, sleep=wall.sleep, wall_ns=wall)
     assert clock.wait_until(10 * NS_PER_H, always)
     assert wall.now_ns - 5 * NS_PER_S == 2 * NS_PER_S
 
 
-def test_work_between_two_waits_is_part_of_the_pace() -> None:
+def test_work_between_two_waits_is_part_of_the_pace():
     wall = FakeWall()
     clock = SimulatedClock(0, pace_h_per_s=5.0, sleep=wall.sleep, wall_ns=wall)
     clock.wait_until(5 * NS_PER_H, always)
@@ -73,11 +71,11 @@ def test_work_between_two_waits_is_part_of_the_pace() -> None:
     assert wall.now_ns - 5 * NS_PER_S == 2 * NS_PER_S
 
 
-def test_finish_now_ends_the_pacing() -> None:
+def test_finish_now_ends_the_pacing():
     wall = FakeWall()
     clock = SimulatedClock(0, pace_h_per_s=1e-6, sleep=wall.sleep, wall_ns=wall)
 
-    def idle() -> bool:
+    def idle():
         clock.finish_now()
         return True
 
@@ -85,14 +83,14 @@ def test_finish_now_ends_the_pacing() -> None:
     assert clock.utc_ns() == NS_PER_H
 
 
-def test_a_wait_ends_as_soon_as_idle_returns_false() -> None:
+def test_a_wait_ends_as_soon_as_idle_returns_false():
     wall = FakeWall()
     clock = SimulatedClock(0, pace_h_per_s=1.0, sleep=wall.sleep, wall_ns=wall)
     assert not clock.wait_until(NS_PER_H, lambda: wall.now_ns < 5.5 * NS_PER_S)
     assert clock.utc_ns() == 0, "time that nobody waited for must not pass"
 
 
-def test_a_pace_of_zero_is_refused() -> None:
+def test_a_pace_of_zero_is_refused():
     with pytest.raises(ValueError, match="must be positive"):
         SimulatedClock(0, pace_h_per_s=0.0)
 
@@ -100,23 +98,23 @@ def test_a_pace_of_zero_is_refused() -> None:
 class Kernel:
     """System call results of macOS and Windows; ``uuid`` None: no such variable."""
 
-    def __init__(self, uuid: str | None = None, counter: int = 0) -> None:
+    def __init__(self, uuid=None, counter=0):
         self.uuid, self.counter = uuid, counter
 
-    def sysctl(self, name: str) -> str:
+    def sysctl(self, name):
         if self.uuid is None or name != "kern.bootsessionuuid":
             raise OSError(name)
         return self.uuid
 
-    def word_at(self, address: int) -> int:
+    def word_at(self, address):
         assert address == WINDOWS_BOOT_COUNTER == 0x7FFE02C4
         return self.counter
 
-    def name(self, platform: str) -> str | None:
+    def name(self, platform):
         return boot_name(platform, sysctl=self.sysctl, word_at=self.word_at)
 
 
-def test_linux_names_its_boot_in_a_file(tmp_path: Path) -> None:
+def test_linux_names_its_boot_in_a_file(tmp_path):
     file = tmp_path / "boot_id"
     assert boot_name("linux", linux_file=file) is None
     file.write_text("3f1d\n", encoding="ascii")
@@ -124,7 +122,7 @@ def test_linux_names_its_boot_in_a_file(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(("platform", "field"), [("darwin", "uuid"), ("win32", "counter")])
-def test_two_processes_agree_on_a_boot_and_two_boots_differ(platform: str, field: str) -> None:
+def test_two_processes_agree_on_a_boot_and_two_boots_differ(platform, field):
     first, second = ("A-1", "A-2") if field == "uuid" else (7, 8)
     name = Kernel(**{field: first}).name(platform)  # type: ignore[arg-type] # one value for two fields
     assert name is not None
@@ -134,9 +132,9 @@ def test_two_processes_agree_on_a_boot_and_two_boots_differ(platform: str, field
 
 
 @pytest.mark.parametrize("platform", ["darwin", "win32"])
-def test_a_kernel_without_a_boot_name_gives_no_boot(platform: str) -> None:
+def test_a_kernel_without_a_boot_name_gives_no_boot(platform):
     assert Kernel().name(platform) is None
 
 
-def test_the_frame_of_monotonic_times_stays_within_a_process() -> None:
+def test_the_frame_of_monotonic_times_stays_within_a_process():
     assert boot_id() == boot_id() != ""

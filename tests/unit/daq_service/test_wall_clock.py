@@ -14,16 +14,16 @@ NOW_NS = parse_utc("2026-06-01T12:00:00Z")
 
 
 @pytest.fixture
-def machine() -> Machine:
+def machine():
     return Machine(NOW_NS)
 
 
-def always() -> bool:
+def always():
     return True
 
 
 @pytest.mark.parametrize("by_h", [1.0, -1.0, 400.0, -140_000.0])
-def test_a_clock_step_does_not_move_the_test_time_and_is_reported_once(machine: Machine, by_h: float) -> None:
+def test_a_clock_step_does_not_move_the_test_time_and_is_reported_once(machine, by_h):
     clock = machine.clock()
     assert clock.wait_until(NOW_NS + NS_PER_H, always)
     machine.set_clock(by_h)
@@ -37,7 +37,7 @@ def test_a_clock_step_does_not_move_the_test_time_and_is_reported_once(machine: 
     assert clock.steps() == []
 
 
-def test_a_clock_that_is_stepped_there_and_back_is_followed_again(machine: Machine) -> None:
+def test_a_clock_that_is_stepped_there_and_back_is_followed_again(machine):
     clock = machine.clock()
     machine.set_clock(400.0)
     clock.wait_until(NOW_NS + 6 * NS_PER_S, always)
@@ -48,7 +48,7 @@ def test_a_clock_that_is_stepped_there_and_back_is_followed_again(machine: Machi
     assert clock.utc_ns() == machine.utc_ns
 
 
-def test_small_clock_steps_accumulate_to_a_reported_one(machine: Machine) -> None:
+def test_small_clock_steps_accumulate_to_a_reported_one(machine):
     clock = machine.clock()
     for _ in range(4):
         machine.utc_ns += 400_000_000
@@ -59,7 +59,7 @@ def test_small_clock_steps_accumulate_to_a_reported_one(machine: Machine) -> Non
 
 
 @pytest.mark.parametrize("drift_ppm", [100, -100, 499])
-def test_a_drift_is_followed_over_350_h(drift_ppm: int) -> None:
+def test_a_drift_is_followed_over_350_h(drift_ppm):
     machine = Machine(NOW_NS, drift_ppm=drift_ppm)
     clock, before_ns = machine.clock(), NOW_NS
     for _ in range(350 * 60):
@@ -72,7 +72,7 @@ def test_a_drift_is_followed_over_350_h(drift_ppm: int) -> None:
     assert abs(machine.utc_ns - NOW_NS - 350 * NS_PER_H) > 100 * NS_PER_S
 
 
-def test_time_is_never_set_back_by_following(machine: Machine) -> None:
+def test_time_is_never_set_back_by_following(machine):
     clock = machine.clock()
     machine.utc_ns -= 900_000_000
     times_ns = []
@@ -85,7 +85,7 @@ def test_time_is_never_set_back_by_following(machine: Machine) -> None:
     assert clock.steps() == []
 
 
-def test_the_sleep_of_the_machine_is_time_that_passed(machine: Machine) -> None:
+def test_the_sleep_of_the_machine_is_time_that_passed(machine):
     clock = machine.clock()
     machine.sleep(8 * 3600.0)
     machine.utc_ns += 3 * NS_PER_S  # a coarse clock kept the time meanwhile
@@ -93,10 +93,10 @@ def test_the_sleep_of_the_machine_is_time_that_passed(machine: Machine) -> None:
     assert clock.steps() == []
 
 
-def test_two_looks_that_were_torn_apart_are_no_step(machine: Machine) -> None:
+def test_two_looks_that_were_torn_apart_are_no_step(machine):
     slept_s = [0.0]
 
-    def system_ns() -> int:
+    def system_ns():
         utc_ns = machine.utc_ns
         machine.sleep(slept_s.pop() if slept_s else 0.0)
         return utc_ns
@@ -109,7 +109,7 @@ def test_two_looks_that_were_torn_apart_are_no_step(machine: Machine) -> None:
     assert clock.steps() == []
 
 
-def test_a_recorder_on_the_same_boot_takes_the_time_up(machine: Machine) -> None:
+def test_a_recorder_on_the_same_boot_takes_the_time_up(machine):
     first = machine.clock()
     machine.sleep(60.0)
     line = first.line()
@@ -121,7 +121,7 @@ def test_a_recorder_on_the_same_boot_takes_the_time_up(machine: Machine) -> None
     assert [step.step_s for step in second.steps()] == [-5 * 3600.0]
 
 
-def test_a_reported_clock_step_is_not_reported_again(machine: Machine) -> None:
+def test_a_reported_clock_step_is_not_reported_again(machine):
     line = TimeLine(utc_ns=NOW_NS - NS_PER_H, elapsed_ns=machine.elapsed_ns, ahead_ns=NS_PER_H)
     clock = machine.clock(Before(last_utc_ns=0, line=line))
     assert clock.utc_ns() == NOW_NS - NS_PER_H
@@ -142,18 +142,18 @@ def test_a_reported_clock_step_is_not_reported_again(machine: Machine) -> None:
         (7300.0, True, ""),
     ],
 )
-def test_a_clock_is_unverified_after_a_long_reboot(gap_h: float, synchronised: bool, doubted: str) -> None:
+def test_a_clock_is_unverified_after_a_long_reboot(gap_h, synchronised, doubted):
     reason = Before(last_utc_ns=NOW_NS).doubt(NOW_NS + round(gap_h * NS_PER_H), synchronised=synchronised)
     assert bool(reason) == bool(doubted)
     assert doubted in reason
 
 
-def test_time_stops_while_the_clock_is_unverified_and_continues_when_it_is_set(machine: Machine) -> None:
+def test_time_stops_while_the_clock_is_unverified_and_continues_when_it_is_set(machine):
     machine.start_again(parse_utc("2010-01-01T00:00:00Z"))
     clock = machine.clock(Before(last_utc_ns=NOW_NS))
     observations = []
 
-    def idle(reason: str) -> bool:
+    def idle(reason):
         observations.append((clock.utc_ns(), clock.line(), reason))
         if len(observations) == 3:
             machine.utc_ns = NOW_NS + NS_PER_H
@@ -172,7 +172,7 @@ def test_time_stops_while_the_clock_is_unverified_and_continues_when_it_is_set(m
     assert clock.wait_while_doubted(idle) is None, "nothing is doubted any more"
 
 
-def test_a_trusted_clock_never_goes_back_before_stored_times(machine: Machine) -> None:
+def test_a_trusted_clock_never_goes_back_before_stored_times(machine):
     machine.start_again(parse_utc("2010-01-01T00:00:00Z"))
     clock = machine.clock(Before(last_utc_ns=NOW_NS))
     answer = clock.trust()
@@ -184,7 +184,7 @@ def test_a_trusted_clock_never_goes_back_before_stored_times(machine: Machine) -
         clock.trust()
 
 
-def test_a_wait_that_is_ended_leaves_the_doubt(machine: Machine) -> None:
+def test_a_wait_that_is_ended_leaves_the_doubt(machine):
     machine.start_again(NOW_NS - NS_PER_H)
     clock = machine.clock(Before(last_utc_ns=NOW_NS))
     assert clock.wait_while_doubted(lambda _: False) is None
@@ -194,9 +194,7 @@ def test_a_wait_that_is_ended_leaves_the_doubt(machine: Machine) -> None:
 @pytest.mark.parametrize(
     ("platform", "name"), [("linux", "CLOCK_BOOTTIME"), ("darwin", "CLOCK_MONOTONIC_RAW")]
 )
-def test_the_clock_that_counts_sleep_is_read(
-    platform: str, name: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_clock_that_counts_sleep_is_read(platform, name, monkeypatch):
     monkeypatch.setattr(time, name, 77, raising=False)
     monkeypatch.setattr(time, "clock_gettime_ns", lambda clock_id: 1000 + clock_id, raising=False)
     assert elapsed_source(platform)() == 1077
@@ -209,14 +207,12 @@ def test_the_clock_that_counts_sleep_is_read(
     ("answer", "maxerror_us", "synchronised"),
     [(0, 1000, True), (5, 1000, True), (5, 16_000_000, False), (-1, 0, False)],
 )
-def test_on_linux_the_clock_error_is_queried(
-    answer: int, maxerror_us: int, synchronised: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_on_linux_the_clock_error_is_queried(answer, maxerror_us, synchronised, monkeypatch):
     class Kernel:
-        def __init__(self, name: None) -> None:
+        def __init__(self, name):
             pass
 
-        def adjtimex(self, buffer: "ctypes._CArgObject") -> int:
+        def adjtimex(self, buffer):
             buffer._obj.maxerror = maxerror_us  # type: ignore[attr-defined] # what byref refers to
             return answer
 

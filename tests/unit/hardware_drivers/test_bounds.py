@@ -18,7 +18,7 @@ class Window:
     stop_s: Annotated[float, Le(10.25)] | None = None
     names: dict[str, str] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         if self.stop_s is not None and self.stop_s < self.start_s:
             raise ValueError(f"stop_s is {self.stop_s}; it must be at least start_s = {self.start_s}")
 

@@ -4,7 +4,6 @@ import json
 import subprocess
 import sys
 from importlib.metadata import version
-from pathlib import Path
 
 import pytest
 from support.offered_kinds import offer
@@ -24,25 +23,21 @@ OURS = {
 }
 
 
-def test_built_in_kinds_are_found_by_the_same_entry_points() -> None:
+def test_built_in_kinds_are_found_by_the_same_entry_points():
     found = offers()
     assert {name: found[name].roles for name in OURS} == OURS
     assert {found[name].distributions for name in OURS} == {(f"solimon {version('solimon')}",)}
     assert all(isinstance(found[name].load(), Kind) for name in OURS)
 
 
-def test_a_kind_of_another_package_is_found_without_installing_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kind_of_another_package_is_found_without_installing_it(tmp_path, monkeypatch):
     offer(monkeypatch, tmp_path, OFFERED)
     kind, offered = find_kind("scripted-scope")
     assert kind is SCOPE
     assert (offered.roles, offered.distributions) == (("digitizer",), ("lab-drivers 1.2",))
 
 
-def test_an_unknown_name_is_refused_with_those_that_are_there(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unknown_name_is_refused_with_those_that_are_there(tmp_path, monkeypatch):
     offer(monkeypatch, tmp_path, OFFERED)
     with pytest.raises(ConfigurationError) as refusal:
         find_kind("picoscope")
@@ -52,9 +47,7 @@ def test_an_unknown_name_is_refused_with_those_that_are_there(
 
 
 @pytest.mark.parametrize("error", ["OSError('libps5000.so: not found')", "SystemExit(0)"])
-def test_a_package_that_does_not_import_is_named_with_its_error(
-    error: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_package_that_does_not_import_is_named_with_its_error(error, tmp_path, monkeypatch):
     (tmp_path / "broken_scope.py").write_text(f"raise {error}\n", encoding="utf-8")
     offer(monkeypatch, tmp_path, {"scope": {"digitizer": "broken_scope:KIND"}})
     message = r"lab-drivers 1.2 offers broken_scope:KIND .*(OSError: libps5000.so: not found|SystemExit: 0)"
@@ -63,20 +56,20 @@ def test_a_package_that_does_not_import_is_named_with_its_error(
     assert find_kind("daqmx"), "it hinders no other"
 
 
-def test_an_object_that_is_no_kind_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_object_that_is_no_kind_is_refused(tmp_path, monkeypatch):
     offer(monkeypatch, tmp_path, {"word": {"striker": "support.scripted_kinds:NOT_A_KIND"}})
     with pytest.raises(ConfigurationError, match=r"lab-drivers 1.2 .*'word', which is a str, not a hardware"):
         find_kind("word")
 
 
-def test_two_packages_with_one_name_are_both_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_two_packages_with_one_name_are_both_named(tmp_path, monkeypatch):
     offer(monkeypatch, tmp_path / "one", OFFERED)
     offer(monkeypatch, tmp_path / "other", OFFERED, distribution="their-drivers")
     with pytest.raises(ConfigurationError, match=r"offered by lab-drivers 1.2 and by their-dr"):
         find_kind("liar")
 
 
-def test_one_name_is_one_object(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_name_is_one_object(tmp_path, monkeypatch):
     two = {"digitizer": "support.scripted_kinds:SCOPE", "striker": "support.scripted_kinds:HAMMER"}
     offer(monkeypatch, tmp_path, {"both": two})
     with pytest.raises(ConfigurationError, match="different objects as 'both' for the roles digit"):
@@ -92,13 +85,13 @@ print(json.dumps(sorted({name.partition('.')[0] for name in sys.modules})))
 """
 
 
-def test_naming_every_kind_imports_nothing_of_a_vendor_and_no_compiler() -> None:
+def test_naming_every_kind_imports_nothing_of_a_vendor_and_no_compiler():
     done = subprocess.run([sys.executable, "-c", PROGRAM], capture_output=True, text=True, check=True)
     heavy = {"nidaqmx", "niscope", "serial", "pyvisa", "nptdms", "grpc", "numba", "matplotlib", "scipy"}
     assert heavy.isdisjoint(json.loads(done.stdout))
 
 
-def test_each_role_has_its_group() -> None:
+def test_each_role_has_its_group():
     assert set(GROUPS.values()) == {
         "solimon.digitizer", "solimon.striker", "solimon.pulse_echo", "solimon.supply", "solimon.climate"
     }  # fmt: skip

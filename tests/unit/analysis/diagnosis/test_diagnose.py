@@ -1,7 +1,6 @@
 """A cause is named by its direction and its course in time, and not where nothing is sure."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -11,7 +10,6 @@ from analysis.diagnosis.diagnose import (
     STATED,
     UNDETERMINED,
     WALL_STATED,
-    Diagnosis,
     diagnosis_of,
     state_with_diagnosis,
 )
@@ -37,7 +35,6 @@ from analysis.diagnosis.state import (
     with_set,
 )
 from analysis.errors import InvalidInputError
-from analysis.waves.record_reduction import FloatArray
 
 BASELINE, AFTER, EVERY = 200, 120, 5
 SOURCES = np.array([*STIFFNESS, *DAMPING, DROP_HEIGHT, TILT])
@@ -46,7 +43,7 @@ FOOT = 0.12 * np.array(STIFFNESS[-1])
 ZERO = np.zeros(len(COMPONENTS))
 
 
-def healthy(seed: int, sets: int = BASELINE + AFTER) -> FloatArray:
+def healthy(seed, sets=BASELINE + AFTER):
     """Return independent sets of a chain whose contacts vary slightly."""
     random = np.random.default_rng(seed)
     shape = (sets, len(SD))
@@ -54,21 +51,19 @@ def healthy(seed: int, sets: int = BASELINE + AFTER) -> FloatArray:
     return np.asarray((SD * random.standard_normal(shape)) @ SOURCES + noise)
 
 
-def growing(target: FloatArray) -> FloatArray:
+def growing(target):
     """Return the change of each set: zero in the baseline, then growing linearly."""
     return np.linspace(0.0, 1.0, AFTER + 1)[1:, None] * target
 
 
-def wall(depth: float) -> FloatArray:
+def wall(depth):
     """Return the change by a wall that thins linearly to this depth."""
     depths = np.linspace(0.0, depth, AFTER + 1)[1:]
     curve = np.vstack([ZERO, WALL_B])
     return np.stack([np.interp(depths, [0.0, *DEPTHS], column) for column in curve.T], axis=1)
 
 
-def diagnoses(
-    change: FloatArray, seed: int = 1, confirmation: FloatArray | None = None
-) -> Iterator[Diagnosis]:
+def diagnoses(change, seed=1, confirmation=None):
     """Yield the diagnosis of every fifth set after the baseline; a confirmation follows their 30th."""
     logs = healthy(seed)
     logs[BASELINE:] += change
@@ -84,7 +79,7 @@ def diagnoses(
             yield assessment
 
 
-def test_a_thinning_wall_is_diagnosed_and_its_incident_wave_unchanged() -> None:
+def test_a_thinning_wall_is_diagnosed_and_its_incident_wave_unchanged():
     found = list(diagnoses(wall(0.3)))
     assert found[-1].cause == WALL
     assert found[-1].probability > 0.99
@@ -94,20 +89,20 @@ def test_a_thinning_wall_is_diagnosed_and_its_incident_wave_unchanged() -> None:
     assert {one.cause for one in found} <= {OK, UNDETERMINED, WALL}
 
 
-def test_a_healthy_transducer_is_never_diagnosed_as_wall_thinning() -> None:
+def test_a_healthy_transducer_is_never_diagnosed_as_wall_thinning():
     causes = [one.cause for seed in range(5) for one in diagnoses(np.zeros((AFTER, 7)), seed)]
     assert WALL not in causes
     assert causes.count(OK) > 0.98 * len(causes)
 
 
 @pytest.mark.parametrize("target", [-0.4 * np.array(GAIN), -0.5 * np.array(DROP_HEIGHT)])
-def test_a_change_of_the_incident_wave_is_diagnosed_as_sensor(target: FloatArray) -> None:
+def test_a_change_of_the_incident_wave_is_diagnosed_as_sensor(target):
     found = list(diagnoses(growing(target)))
     assert found[-1].cause == SENSOR
     assert WALL not in {one.cause for one in found}
 
 
-def test_a_step_is_a_contact_once_a_confirmation_shows_it_again() -> None:
+def test_a_step_is_a_contact_once_a_confirmation_shows_it_again():
     alone = list(diagnoses(np.tile(FOOT, (AFTER, 1))))
     assert alone[4].cause == UNDETERMINED
     assert alone[4].abrupt > 0.9
@@ -120,12 +115,12 @@ def test_a_step_is_a_contact_once_a_confirmation_shows_it_again() -> None:
 
 
 @pytest.mark.parametrize("depth", [2, 4])
-def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(depth: int) -> None:
+def test_a_change_along_the_wall_s_own_curve_is_no_wall_where_it_comes_at_once(depth):
     found = diagnoses(np.tile(WALL_B[depth], (AFTER, 1)), confirmation=np.array(WALL_B[depth]))
     assert WALL not in {one.cause for one in found}
 
 
-def test_an_alarm_that_no_cause_explains_is_undetermined() -> None:
+def test_an_alarm_that_no_cause_explains_is_undetermined():
     logs = healthy(3)
     design = diagnosis_parameters(logs[:BASELINE])
     memory = with_set(DiagnosisState(), design.mean, logs[BASELINE], BASELINE)
@@ -135,7 +130,7 @@ def test_an_alarm_that_no_cause_explains_is_undetermined() -> None:
     assert sum(diagnosis.probabilities.values()) == pytest.approx(1.0)
 
 
-def test_the_diagnosis_state_survives_a_restart_as_json() -> None:
+def test_the_diagnosis_state_survives_a_restart_as_json():
     logs = healthy(4) + 0.002
     design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState()
@@ -150,8 +145,8 @@ def test_the_diagnosis_state_survives_a_restart_as_json() -> None:
     assert memory.n == 20
 
 
-def test_a_set_without_a_feature_has_no_logarithms_and_a_wrong_history_is_reported() -> None:
-    values: dict[str, float | None] = dict.fromkeys(COMPONENTS, 2.0)
+def test_a_set_without_a_feature_has_no_logarithms_and_a_wrong_history_is_reported():
+    values = dict.fromkeys(COMPONENTS, 2.0)
     assert logs_of(values) == pytest.approx(np.log(np.full(7, 2.0)))
     assert logs_of(values | {"isw_fwhm_s": None}) is None
     assert logs_of(values | {"psw_area_v_s": -1.0}) is None
@@ -159,7 +154,7 @@ def test_a_set_without_a_feature_has_no_logarithms_and_a_wrong_history_is_report
         diagnosis_parameters(healthy(1)[:200, :5])
 
 
-def test_few_sets_give_parameters_that_show_a_small_change_less() -> None:
+def test_few_sets_give_parameters_that_show_a_small_change_less():
     few, many = (diagnosis_parameters(healthy(6)[:n]) for n in (24, 200))
     assert isinstance(few, DiagnosisParameters)
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
@@ -169,11 +164,11 @@ def test_few_sets_give_parameters_that_show_a_small_change_less() -> None:
     assert diagnoses_of_both[0].probabilities[OK] > 0.9 > 0.5 > diagnoses_of_both[1].probabilities[OK]
 
 
-def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_started() -> None:
+def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_started():
     history = healthy(6)[:BASELINE]
     change = tuple(tuple(row) for row in np.tile(0.5 * np.array(WALL_B[0]), (3, 1)))
 
-    def ok(first_index: int, index: int) -> float:
+    def ok(first_index, index):
         design = diagnosis_parameters(history, first_index)
         return diagnosis_of(DiagnosisState(n=60, index=index, changes=change), design).probabilities[OK]
 
@@ -182,7 +177,7 @@ def test_a_slow_drift_decays_with_the_scheduled_sets_wherever_the_baseline_start
     assert ok(0, BASELINE + 1500) > ok(0, BASELINE + 59) + 0.05
 
 
-def test_a_wall_is_diagnosed_by_two_consecutive_sets_including_a_confirmation() -> None:
+def test_a_wall_is_diagnosed_by_two_consecutive_sets_including_a_confirmation():
     logs = healthy(2)
     logs[BASELINE:] += wall(0.4)
     design = diagnosis_parameters(logs[:BASELINE])
@@ -203,7 +198,7 @@ def test_a_wall_is_diagnosed_by_two_consecutive_sets_including_a_confirmation() 
     assert not healthy_again.likely
 
 
-def test_a_first_wall_diagnosis_needs_a_higher_probability() -> None:
+def test_a_first_wall_diagnosis_needs_a_higher_probability():
     design = diagnosis_parameters(healthy(2)[:BASELINE])
     course = np.array([[1.0], [0.95], [0.6]]) * wall(0.3)[-1]  # it grows: the longest average is behind
     last = BASELINE + AFTER - 1
@@ -218,7 +213,7 @@ def test_a_first_wall_diagnosis_needs_a_higher_probability() -> None:
     assert not any(state_with_diagnosis(one, diagnosis_of(one, design)).likely for one in between)
 
 
-def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets() -> None:
+def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets():
     logs = healthy(2)
     design = diagnosis_parameters(logs[:BASELINE])
     memory = DiagnosisState(wall=True)
@@ -232,7 +227,7 @@ def test_a_wall_diagnosis_is_withdrawn_only_by_healthy_sets() -> None:
     assert not state_with_diagnosis(memory, diagnosis_of(DiagnosisState(), design)).wall
 
 
-def test_a_wall_is_diagnosed_after_a_re_seat_and_a_return_is_healthy() -> None:
+def test_a_wall_is_diagnosed_after_a_re_seat_and_a_return_is_healthy():
     onset = np.arange(AFTER)[:, None] >= 60
     thinner = np.where(onset, FOOT + 2.0 * (wall(0.4) - wall(0.4)[60]), FOOT)
     causes = [one.cause for one in diagnoses(thinner, confirmation=FOOT)]
@@ -242,7 +237,7 @@ def test_a_wall_is_diagnosed_after_a_re_seat_and_a_return_is_healthy() -> None:
     assert (back[8], back[-1]) == (COUPLING, OK)
 
 
-def test_the_new_contact_level_is_estimated_from_the_following_sets() -> None:
+def test_the_new_contact_level_is_estimated_from_the_following_sets():
     logs, mean = healthy(5), np.zeros(len(COMPONENTS))
     memory = DiagnosisState(moved=(1.0,) * len(COMPONENTS))
     for index in range(SETTLING + 5):
@@ -251,7 +246,7 @@ def test_the_new_contact_level_is_estimated_from_the_following_sets() -> None:
     assert np.abs(memory.averages(from_moved=True)).max() < np.abs(logs).max()
 
 
-def test_growth_during_a_gap_is_not_a_step() -> None:
+def test_growth_during_a_gap_is_not_a_step():
     logs = healthy(7)
     logs[BASELINE:] += wall(0.4)
     design = diagnosis_parameters(logs[:BASELINE])
@@ -266,7 +261,7 @@ def test_growth_during_a_gap_is_not_a_step() -> None:
     assert diagnosis_of(replace(memory, gap=0, gap_ago=0), design).abrupt > 0.9
 
 
-def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept() -> None:
+def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept():
     mean, memory = ZERO, DiagnosisState()
     for index in (10, 15, 16, 18):
         memory = with_set(memory, mean, ZERO, index)
@@ -277,7 +272,7 @@ def test_a_gap_is_forgotten_with_the_sets_before_it_and_the_wider_of_two_is_kept
 
 
 @pytest.mark.parametrize("phi", [0.0, 0.6, 0.95])
-def test_averages_scatter_as_autocorrelated_sets_do(phi: float) -> None:
+def test_averages_scatter_as_autocorrelated_sets_do(phi):
     n, confirmation_ago = 40, 3
     sets = phi ** np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     found = covariance_of_averages(n, phi, confirmation_ago)

@@ -9,7 +9,7 @@ from analysis.diagnosis.state import MOST_AVERAGED, weights
 BASELINE, DIRECTIONS = 200, 7
 
 
-def sets(variances: list[float], n: int, seed: int = 1) -> np.ndarray:
+def sets(variances, n, seed=1):
     """Return a sum of autoregressions with coefficients `PHI` and these variances, shape (n, DIRECTIONS)."""
     apart = np.abs(np.subtract.outer(np.arange(n), np.arange(n)))
     whole = sum(v * phi**apart for v, phi in zip(variances, PHI, strict=True))
@@ -17,7 +17,7 @@ def sets(variances: list[float], n: int, seed: int = 1) -> np.ndarray:
     return np.linalg.cholesky(whole) @ random.standard_normal((n, DIRECTIONS))
 
 
-def test_autocorrelation_and_slow_drift_are_estimated_where_present() -> None:
+def test_autocorrelation_and_slow_drift_are_estimated_where_present():
     independent, wandering = [1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0], [0.4, 0.0, 0.2, 0.0, 0.4, 0.0, 0.0]
     found = [variances_of(sets(true, BASELINE), np.arange(BASELINE)) for true in (independent, wandering)]
     assert found[0][0] == pytest.approx(1.0, abs=0.15)  # seven times 200 sets tell a variance to .04
@@ -28,7 +28,7 @@ def test_autocorrelation_and_slow_drift_are_estimated_where_present() -> None:
         assert found[0] @ PHI**lag < 0.5 * true
 
 
-def test_a_gap_keeps_its_place_and_few_sets_keep_the_assumed_values() -> None:
+def test_a_gap_keeps_its_place_and_few_sets_keep_the_assumed_values():
     x, kept = sets([0.1, 0.0, 0.9, 0.0, 0.0, 0.0, 0.0], BASELINE), np.arange(0, BASELINE, 5)
     found = [variances_of(x[kept], indices) for indices in (kept, np.arange(kept.size))]
     # Five sets apart they are nearly independent, which next to each other no memory of five explains.
@@ -38,9 +38,7 @@ def test_a_gap_keeps_its_place_and_few_sets_keep_the_assumed_values() -> None:
 
 
 @pytest.mark.parametrize(("n", "since", "confirmation_ago"), [(12, 12, None), (40, 43, None), (30, 30, 4)])
-def test_differences_from_a_baseline_scatter_as_its_parts_make_them(
-    n: int, since: int, confirmation_ago: int | None
-) -> None:
+def test_differences_from_a_baseline_scatter_as_its_parts_make_them(n, since, confirmation_ago):
     reference = 50
     ago = np.arange(reference)[::-1]
     ends = np.array([rate * (1.0 - rate) ** ago for rate in END_RATES])
@@ -61,7 +59,7 @@ def test_differences_from_a_baseline_scatter_as_its_parts_make_them(
             assert found[5, 5] == pytest.approx(1.0 - 2.0 * mean @ to_planned + mean @ phi**apart @ mean)
 
 
-def test_the_end_of_a_baseline_is_estimated_from_its_last_sets() -> None:
+def test_the_end_of_a_baseline_is_estimated_from_its_last_sets():
     changes = np.zeros((BASELINE, DIRECTIONS))
     changes[-1] = 1.0
     assert end_averages(changes) == pytest.approx(np.outer(END_RATES, np.ones(DIRECTIONS)))

@@ -11,7 +11,7 @@ from daq_service.background.live_figure import LiveFigure
 from hardware_drivers.measurement import Calibration, Shot, ShotKey, Stamp, Waveform
 
 
-def shot(counts: np.ndarray, position: str = "B") -> Shot:
+def shot(counts, position="B"):
     calibration = Calibration(coefficients_v=np.array([0.001, 1.5e-4]), resolution_bits=16, range_v=5.0)
     return Shot(
         sequence=42,
@@ -22,7 +22,7 @@ def shot(counts: np.ndarray, position: str = "B") -> Shot:
 
 
 @pytest.mark.parametrize("dtype", [np.int16, np.int32])
-def test_a_live_figure_has_header_marks_and_exact_samples(tmp_path: Path, dtype: type) -> None:
+def test_a_live_figure_has_header_marks_and_exact_samples(tmp_path, dtype):
     (tmp_path / "live").mkdir()
     counts = np.array([-32768, -1, 0, 1, 32767], dtype=dtype)
     features = ShotFeatures(isw_time_s=5e-5, isw_amplitude_v=2.5, flags=("noisy",))
@@ -40,7 +40,7 @@ def test_a_live_figure_has_header_marks_and_exact_samples(tmp_path: Path, dtype:
     assert header["dtype"] == np.dtype(dtype).name
 
 
-def test_a_live_figure_is_replaced_at_most_ten_times_per_second(tmp_path: Path) -> None:
+def test_a_live_figure_is_replaced_at_most_ten_times_per_second(tmp_path):
     now = [1_000_000_000]
     live = LiveFigure(tmp_path, "simulated", mono_ns=lambda: now[0])
     assert live.due("B")
@@ -51,12 +51,12 @@ def test_a_live_figure_is_replaced_at_most_ten_times_per_second(tmp_path: Path) 
     assert live.due("B")
 
 
-def test_on_a_slow_disk_live_figures_are_rarer(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_on_a_slow_disk_live_figures_are_rarer(tmp_path, monkeypatch):
     """Two positions, 4 ms per figure: each gets one in 0.8 s, so both take 1 % of the time."""
     now = [1_000_000_000]
     written = Path.write_bytes
 
-    def slowly(self: Path, data: bytes) -> int:
+    def slowly(self, data):
         now[0] += 4_000_000
         return written(self, data)
 
@@ -70,10 +70,8 @@ def test_on_a_slow_disk_live_figures_are_rarer(tmp_path: Path, monkeypatch: pyte
     assert live.due("B")
 
 
-def test_a_write_error_costs_only_the_live_figure(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    def full(self: Path, data: bytes) -> int:
+def test_a_write_error_costs_only_the_live_figure(tmp_path, monkeypatch, caplog):
+    def full(self, data):
         raise OSError(28, "No space left on device")
 
     live = LiveFigure(tmp_path, "simulated")

@@ -31,18 +31,16 @@ ORDER = CommandRow(
         (None, 0, 60, 0.0),
     ],
 )
-def test_a_command_is_pending_until_its_deadline_in_this_boot(
-    boot: str | None, boot_s: int, utc_s: int, left: float
-) -> None:
+def test_a_command_is_pending_until_its_deadline_in_this_boot(boot, boot_s, utc_s, left):
     found = remaining_s(ORDER, boot=boot, boot_ns=boot_s * 10**9, wall_utc_ns=utc_s * 10**9)
     assert found == left
     assert with_expiry(ORDER, found).state == ("pending" if left else "expired")
 
 
-def test_a_started_command_does_not_expire() -> None:
+def test_a_started_command_does_not_expire():
     started = replace(ORDER, state="started")
     assert with_expiry(started, 0.0) is started
 
 
-def test_a_command_of_an_older_version_has_expired() -> None:
+def test_a_command_of_an_older_version_has_expired():
     assert remaining_s(replace(ORDER, deadline_boot_ns=None), boot="this", boot_ns=0, wall_utc_ns=0) == 0.0

@@ -6,7 +6,6 @@ import logging
 import signal
 import sys
 import threading
-from pathlib import Path
 
 import pytest
 
@@ -23,7 +22,7 @@ def logged(tmp_path):
     handler.close()
 
 
-def lines(folder: Path, name: str = "recorder.log") -> list[str]:
+def lines(folder, name="recorder.log"):
     return (folder / name).read_text(encoding="utf-8").splitlines()
 
 

@@ -24,19 +24,19 @@ from daq_service.processes.data_folder import (
 from daq_service.settings.tree import Settings
 
 
-def test_a_folder_is_created_with_its_subfolders_only(tmp_path: Path) -> None:
+def test_a_folder_is_created_with_its_subfolders_only(tmp_path):
     prepare_data_folder(tmp_path / "a" / "b")
     assert sorted(path.name for path in (tmp_path / "a" / "b").iterdir()) == ["live", "logs", "sets"]
 
 
-def test_preparing_twice_changes_nothing(tmp_path: Path) -> None:
+def test_preparing_twice_changes_nothing(tmp_path):
     prepare_data_folder(tmp_path)
     (tmp_path / "sets" / "kept.h5").write_bytes(b"x")
     prepare_data_folder(tmp_path)
     assert (tmp_path / "sets" / "kept.h5").read_bytes() == b"x"
 
 
-def test_a_network_folder_is_refused_with_its_kind(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_network_folder_is_refused_with_its_kind(tmp_path, monkeypatch):
     monkeypatch.setattr(daq_service.processes.data_folder, "network_filesystem", lambda path: "nfs4")
     with pytest.raises(StorageError, match="network file system") as refusal:
         prepare_data_folder(tmp_path)
@@ -44,15 +44,15 @@ def test_a_network_folder_is_refused_with_its_kind(tmp_path: Path, monkeypatch: 
     assert refusal.value.exit_code == 4
 
 
-def test_a_folder_of_documents_is_left_alone(tmp_path: Path) -> None:
+def test_a_folder_of_documents_is_left_alone(tmp_path):
     (tmp_path / "thesis.tex").write_text("precious")
     with pytest.raises(StorageError, match=r"thesis\.tex"):
         prepare_data_folder(tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == ["thesis.tex"]
 
 
-def test_a_read_only_folder_is_reported(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def refuse(self: Path, data: bytes) -> int:
+def test_a_read_only_folder_is_reported(tmp_path, monkeypatch):
+    def refuse(self, data):
         raise OSError(30, "Read-only file system", str(self))
 
     monkeypatch.setattr(Path, "write_bytes", refuse)
@@ -60,9 +60,7 @@ def test_a_read_only_folder_is_reported(tmp_path: Path, monkeypatch: pytest.Monk
         prepare_data_folder(tmp_path)
 
 
-def test_an_optional_folder_that_cannot_be_created_is_a_warning(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_optional_folder_that_cannot_be_created_is_a_warning(tmp_path, caplog):
     (tmp_path / "sets").mkdir()
     (tmp_path / "live").write_text("foreign")
     prepare_data_folder(tmp_path)
@@ -70,7 +68,7 @@ def test_an_optional_folder_that_cannot_be_created_is_a_warning(
     assert (tmp_path / "live").read_text() == "foreign"
 
 
-def test_remains_of_killed_writers_are_removed_and_no_other_file(tmp_path: Path) -> None:
+def test_remains_of_killed_writers_are_removed_and_no_other_file(tmp_path):
     prepare_data_folder(tmp_path)
     left = ["heartbeat.tmp", "configuration.tmp", ".write-test-0a", "live/B.tmp"]
     kept = ["configuration.json", "live/B.bin", "sets/set_000001_20240101T010000Z.h5"]
@@ -81,7 +79,7 @@ def test_remains_of_killed_writers_are_removed_and_no_other_file(tmp_path: Path)
     assert files == set(kept)
 
 
-def test_any_number_of_readers_can_query_the_ownership_of_a_folder(tmp_path: Path) -> None:
+def test_any_number_of_readers_can_query_the_ownership_of_a_folder(tmp_path):
     assert is_owned(tmp_path) is False
     with own_data_folder(tmp_path):
         assert [is_owned(tmp_path) for _ in range(3)] == [True] * 3
@@ -93,7 +91,7 @@ def test_any_number_of_readers_can_query_the_ownership_of_a_folder(tmp_path: Pat
     assert is_owned(tmp_path) is None
 
 
-def test_an_owner_waits_for_a_reader_of_the_lock(tmp_path: Path) -> None:
+def test_an_owner_waits_for_a_reader_of_the_lock(tmp_path):
     with own_data_folder(tmp_path):
         pass
     with ExitStack() as asking:
@@ -106,7 +104,7 @@ def test_an_owner_waits_for_a_reader_of_the_lock(tmp_path: Path) -> None:
     closing.join()
 
 
-def test_the_folder_of_a_started_test_is_never_created_again(tmp_path: Path) -> None:
+def test_the_folder_of_a_started_test_is_never_created_again(tmp_path):
     folder = tmp_path / "data"
     for _ in range(2):  # gone, then an empty one in its place
         with pytest.raises(FolderGoneError, match="bring back the test"):
@@ -117,7 +115,7 @@ def test_the_folder_of_a_started_test_is_never_created_again(tmp_path: Path) -> 
     prepare_data_folder(folder, may_create=False)
 
 
-def test_a_reader_is_refused_a_missing_or_foreign_folder(tmp_path: Path) -> None:
+def test_a_reader_is_refused_a_missing_or_foreign_folder(tmp_path):
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("precious")
     for name, message in {
@@ -136,7 +134,7 @@ def test_a_reader_is_refused_a_missing_or_foreign_folder(tmp_path: Path) -> None
     refuse_other_folders(tmp_path / "ours")
 
 
-def test_only_one_owner_at_a_time(tmp_path: Path) -> None:
+def test_only_one_owner_at_a_time(tmp_path):
     with own_data_folder(tmp_path):
         second = own_data_folder(tmp_path, patience_s=0.0)
         with pytest.raises(BusyError, match="another recorder owns") as refusal, second:
@@ -148,9 +146,7 @@ def test_only_one_owner_at_a_time(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("left", [b"", b'{"name": "tor', b'"foreign"', b'{"no_key": 1}', None])
-def test_a_folders_own_configuration_is_a_hint(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, left: bytes | None
-) -> None:
+def test_a_folders_own_configuration_is_a_hint(tmp_path, caplog, left):
     config = tmp_path / CONFIGURATION_FILE
     if left is not None:
         config.write_bytes(left)
@@ -170,13 +166,13 @@ def test_a_folders_own_configuration_is_a_hint(
     assert "the catalogue keeps" in caplog.text
 
 
-def test_a_persons_own_file_is_never_replaced_by_the_catalogue(tmp_path: Path) -> None:
+def test_a_persons_own_file_is_never_replaced_by_the_catalogue(tmp_path):
     (tmp_path / "mine.json").write_text("{")
     with new_catalogue(tmp_path), pytest.raises(UsageError, match="not valid json"):
         settings_and_folder(tmp_path / "mine.json", tmp_path)
 
 
-def test_the_configuration_is_written_whole(tmp_path: Path) -> None:
+def test_the_configuration_is_written_whole(tmp_path):
     config = write_configuration(Settings(), tmp_path)
     assert settings_and_folder(config, tmp_path) == (Settings(), tmp_path)
     assert [path.name for path in tmp_path.iterdir()] == [CONFIGURATION_FILE]

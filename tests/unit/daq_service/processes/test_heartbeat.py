@@ -1,5 +1,3 @@
-from pathlib import Path
-
 import pytest
 
 from daq_service.clock import TimeLine, boot_name
@@ -20,22 +18,22 @@ LINE = TimeLine(utc_ns=5_000, elapsed_ns=700)
 
 
 class FakeMonotonic:
-    def __init__(self) -> None:
+    def __init__(self):
         self.now_ns = 1_000_000_000
         self.cost_ns = 0
 
-    def __call__(self) -> int:
+    def __call__(self):
         """Return the time; the next call returns `cost_ns` more."""
         now_ns = self.now_ns
         self.now_ns += self.cost_ns
         return now_ns
 
 
-def test_without_a_recorder_there_is_no_heartbeat(tmp_path: Path) -> None:
+def test_without_a_recorder_there_is_no_heartbeat(tmp_path):
     assert read_heartbeat(tmp_path) is None
 
 
-def test_a_beat_hands_the_time_of_the_test_to_the_next_recorder_on_its_boot(tmp_path: Path) -> None:
+def test_a_beat_hands_the_time_of_the_test_to_the_next_recorder_on_its_boot(tmp_path):
     Heartbeat(tmp_path, deadline_s=65.0, boot=lambda: "ours", time_line=lambda: LINE).beat("waiting")
     beat = read_heartbeat(tmp_path)
     assert time_line_of(beat, boot="ours", elapsed_ns=700) == LINE
@@ -51,9 +49,7 @@ def test_a_beat_hands_the_time_of_the_test_to_the_next_recorder_on_its_boot(tmp_
         ("ours", None, "ours", 900),
     ],
 )
-def test_no_time_of_another_boot_is_used(
-    tmp_path: Path, written_in: str | None, line: TimeLine | None, boot: str | None, elapsed_ns: int
-) -> None:
+def test_no_time_of_another_boot_is_used(tmp_path, written_in, line, boot, elapsed_ns):
     Heartbeat(tmp_path, deadline_s=65.0, boot=lambda: written_in, time_line=lambda: line).beat("waiting")
     beat = read_heartbeat(tmp_path)
     assert beat is not None
@@ -61,7 +57,7 @@ def test_no_time_of_another_boot_is_used(
     assert time_now_ns(beat, boot=lambda: boot, elapsed=lambda: elapsed_ns) is None
 
 
-def test_a_beat_has_the_activity_and_its_deadline(tmp_path: Path) -> None:
+def test_a_beat_has_the_activity_and_its_deadline(tmp_path):
     clock = FakeMonotonic()
     Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock).beat("taking set 3")
     beat = read_heartbeat(tmp_path)
@@ -71,7 +67,7 @@ def test_a_beat_has_the_activity_and_its_deadline(tmp_path: Path) -> None:
     assert age_s(beat, boot=boot_name(), mono_ns=clock.now_ns + 64_000_000_000) == 64.0
 
 
-def test_the_start_of_a_long_wait_is_written_even_if_a_beat_is_slow(tmp_path: Path) -> None:
+def test_the_start_of_a_long_wait_is_written_even_if_a_beat_is_slow(tmp_path):
     clock = FakeMonotonic()
     clock.cost_ns = NS_PER_S // 100
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
@@ -84,7 +80,7 @@ def test_the_start_of_a_long_wait_is_written_even_if_a_beat_is_slow(tmp_path: Pa
     assert (beat.doing, beat.mono_ns) == ("waiting for a person", clock.now_ns)
 
 
-def test_the_file_is_written_at_most_twice_a_second(tmp_path: Path) -> None:
+def test_the_file_is_written_at_most_twice_a_second(tmp_path):
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
     seen = []
@@ -98,8 +94,8 @@ def test_the_file_is_written_at_most_twice_a_second(tmp_path: Path) -> None:
     assert len(set(seen)) == 4
 
 
-def test_a_new_activity_is_written_immediately_unless_beats_are_slow(tmp_path: Path) -> None:
-    def count_writes(cost_ns: int) -> int:
+def test_a_new_activity_is_written_immediately_unless_beats_are_slow(tmp_path):
+    def count_writes(cost_ns):
         clock = FakeMonotonic()
         heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
         seen = set()
@@ -120,7 +116,7 @@ def test_a_new_activity_is_written_immediately_unless_beats_are_slow(tmp_path: P
     assert 4 <= count_writes(cost_ns=1_000_000) <= 7
 
 
-def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp_path: Path) -> None:
+def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp_path):
     """A call that hangs immediately must be identified by its name."""
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
@@ -140,9 +136,7 @@ def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp
     "text",
     ["", "{", '{"process": 1, "mono_ns": 5', "[]", "null", '{"process": 1}', '{"mono_ns": "x"}', "\x00" * 80],
 )
-def test_an_invalid_heartbeat_counts_as_none_and_is_logged_once(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture, text: str
-) -> None:
+def test_an_invalid_heartbeat_counts_as_none_and_is_logged_once(tmp_path, caplog, text):
     (tmp_path / FILE_NAME).write_text(text, encoding="utf-8")
     assert [read_heartbeat(tmp_path) for _ in range(3)] == [None] * 3
     (warning,) = caplog.records
@@ -150,9 +144,7 @@ def test_an_invalid_heartbeat_counts_as_none_and_is_logged_once(
     assert warning.exc_info is None
 
 
-def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(tmp_path, caplog):
     (tmp_path / FILE_NAME).mkdir()
     clock, beats = FakeMonotonic(), []
     heartbeat = Heartbeat(
@@ -167,7 +159,7 @@ def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(
     assert [beat.doing for beat in beats] == ["set 0", "set 1", "set 2"]
 
 
-def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path: Path) -> None:
+def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path):
     text = '{"process": 7, "mono_ns": 5, "deadline_s": 65.0, "doing": "waiting"}'
     (tmp_path / FILE_NAME).write_text(text, encoding="utf-8")
     beat = read_heartbeat(tmp_path)
@@ -177,7 +169,7 @@ def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path: Path) -> None:
     assert age_s(beat, boot="ours", mono_ns=4) is None
 
 
-def test_a_beat_is_written_over_the_one_before_in_place(tmp_path: Path) -> None:
+def test_a_beat_is_written_over_the_one_before_in_place(tmp_path):
     """No rename collides with a reader (Windows), and a full disk already has the space."""
     clock = FakeMonotonic()
     heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
@@ -193,7 +185,7 @@ def test_a_beat_is_written_over_the_one_before_in_place(tmp_path: Path) -> None:
     assert beat.doing == "waiting"
 
 
-def test_a_read_during_a_write_is_repeated(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_read_during_a_write_is_repeated(tmp_path, monkeypatch):
     """Every mixture of two beats is rejected; then the complete beat is read."""
     old, new = (
         encoded(Beat(process=1, mono_ns=mono_ns, deadline_s=65.0, doing=doing))

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -26,9 +25,7 @@ from daq_service.processes.printing import end_process, print_line
 """
 
 
-def run_python(
-    script: str, inherit: Callable[[], object] = lambda: None, **streams: int
-) -> subprocess.CompletedProcess[str]:
+def run_python(script, inherit=lambda: None, **streams):
     return subprocess.run(
         [sys.executable, "-c", START + script],
         preexec_fn=inherit,
@@ -41,12 +38,12 @@ def run_python(
     )
 
 
-def close_streams() -> None:
+def close_streams():
     for descriptor in (0, 1, 2):
         os.close(descriptor)
 
 
-def test_a_closed_stream_gives_its_number_to_no_file(tmp_path: Path) -> None:
+def test_a_closed_stream_gives_its_number_to_no_file(tmp_path):
     done = run_python(
         f"file = open({str(tmp_path / 'set.h5')!r}, 'w')\n"
         "assert file.fileno() > 2\n"
@@ -59,7 +56,7 @@ def test_a_closed_stream_gives_its_number_to_no_file(tmp_path: Path) -> None:
     assert (tmp_path / "set.h5").read_text() == "0\n", "a program that it starts has its streams, too"
 
 
-def test_the_exit_code_of_a_child_is_read_even_if_the_parent_ignores_its_signal() -> None:
+def test_the_exit_code_of_a_child_is_read_even_if_the_parent_ignores_its_signal():
     done = run_python(
         "import subprocess\nchild = subprocess.run([sys.executable, '-c', 'raise SystemExit(7)'])\n"
         "sys.exit(child.returncode)",
@@ -68,7 +65,7 @@ def test_the_exit_code_of_a_child_is_read_even_if_the_parent_ignores_its_signal(
     assert done.returncode == 7
 
 
-def test_a_stop_signal_that_is_blocked_at_the_start_is_handled() -> None:
+def test_a_stop_signal_that_is_blocked_at_the_start_is_handled():
     done = run_python(
         "os.kill(os.getpid(), signal.SIGTERM)\ntime.sleep(60)",
         lambda: signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM]),
@@ -77,15 +74,15 @@ def test_a_stop_signal_that_is_blocked_at_the_start_is_handled() -> None:
 
 
 @pytest.mark.parametrize("timer", ["ITIMER_REAL", "ITIMER_VIRTUAL", "ITIMER_PROF"])
-def test_a_timer_inherited_from_the_parent_is_cancelled(timer: str) -> None:
+def test_a_timer_inherited_from_the_parent_is_cancelled(timer):
     """Timers such as `alarm` survive the start of another program and would end it."""
     number = getattr(signal, timer)
     done = run_python(f"print(signal.getitimer(signal.{timer})[0])", lambda: signal.setitimer(number, 3600.0))
     assert done.stdout == "0.0\n"
 
 
-def test_soft_limits_are_raised_to_the_hard_ones() -> None:
-    def limit() -> None:
+def test_soft_limits_are_raised_to_the_hard_ones():
+    def limit():
         resource.setrlimit(resource.RLIMIT_FSIZE, (1000, 100_000))
         resource.setrlimit(resource.RLIMIT_CPU, (60, 3600))
 
@@ -97,7 +94,7 @@ def test_soft_limits_are_raised_to_the_hard_ones() -> None:
     assert done.stdout == "(100000, 100000) (3600, 3600)\n"
 
 
-def test_a_background_process_that_prints_is_not_stopped() -> None:
+def test_a_background_process_that_prints_is_not_stopped():
     """After `stty tostop` SIGTTOU would stop the process."""
     done = run_python("print(signal.getsignal(signal.SIGTTOU).name)")
     assert done.stdout == "SIG_IGN\n"
@@ -106,22 +103,20 @@ def test_a_background_process_that_prints_is_not_stopped() -> None:
 @pytest.mark.parametrize(
     ("mask", "expected"), [(0o777, 0o600), (0o000, 0o664), (0o002, 0o664), (0o022, 0o644)]
 )
-def test_files_are_readable_by_their_owner_and_not_writable_by_others(
-    mask: int, expected: int, tmp_path: Path
-) -> None:
+def test_files_are_readable_by_their_owner_and_not_writable_by_others(mask, expected, tmp_path):
     path = tmp_path / "set.h5"
     assert run_python(f"open({str(path)!r}, 'w').close()", lambda: os.umask(mask)).returncode == 0
     assert path.stat().st_mode & 0o777 == expected
 
 
-def test_letters_that_an_encoding_lacks_are_printed_as_escapes(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_letters_that_an_encoding_lacks_are_printed_as_escapes(monkeypatch):
     monkeypatch.setenv("PYTHONIOENCODING", "ascii")
     done = run_python(r"print_line('D\u00b2 9.1', err=False); print('\u2013')")
     assert (done.returncode, done.stdout) == (0, "D\\xb2 9.1\n\\u2013\n")
 
 
-def test_a_folder_that_is_gone_keeps_no_worker_from_its_start(tmp_path: Path) -> None:
-    def leave() -> None:
+def test_a_folder_that_is_gone_keeps_no_worker_from_its_start(tmp_path):
+    def leave():
         missing_folder = tmp_path / "gone"
         missing_folder.mkdir()
         os.chdir(missing_folder)
@@ -131,9 +126,7 @@ def test_a_folder_that_is_gone_keeps_no_worker_from_its_start(tmp_path: Path) ->
     assert (done.returncode, done.stdout) == (0, "/\n")
 
 
-def test_a_file_of_the_present_folder_replaces_no_module_of_a_child(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_file_of_the_present_folder_replaces_no_module_of_a_child(tmp_path, monkeypatch):
     for name in ("inspect", "json", "logging"):  # some may be imported before the path is searched
         (tmp_path / f"{name}.py").write_text("raise SystemExit(3)", encoding="utf-8")
     monkeypatch.chdir(tmp_path)
@@ -143,7 +136,7 @@ def test_a_file_of_the_present_folder_replaces_no_module_of_a_child(
 
 
 @pytest.mark.parametrize("code", [0, 3])
-def test_a_full_disk_below_the_streams_changes_no_exit_code(code: int) -> None:
+def test_a_full_disk_below_the_streams_changes_no_exit_code(code):
     with Path("/dev/full").open("w", encoding="utf-8") as full:
         done = run_python(
             f"print_line('a line'); print_line('a line', err=False); end_process({code}); sys.exit({code})",
@@ -165,7 +158,7 @@ sys.exit(3)
 
 
 @pytest.mark.parametrize("script", ["print_line('a line ' * 100_000)\nend_process(3)\nsys.exit(3)", NEWS])
-def test_a_blocked_terminal_delays_no_exit(script: str) -> None:
+def test_a_blocked_terminal_delays_no_exit(script):
     """Ctrl-S, or a reader that has stopped: the pipe takes a part of the output."""
     reader, writer = os.pipe()
     try:
@@ -175,7 +168,7 @@ def test_a_blocked_terminal_delays_no_exit(script: str) -> None:
         os.close(writer)
 
 
-def test_python_inspect_does_not_change_the_exit(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_python_inspect_does_not_change_the_exit(monkeypatch):
     monkeypatch.setenv("PYTHONINSPECT", "1")
     done = run_python("print('out')\nend_process(3)\nsys.exit(3)", stdin=subprocess.DEVNULL)
     assert (done.returncode, done.stdout, done.stderr) == (3, "out\n", "")

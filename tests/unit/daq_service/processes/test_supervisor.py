@@ -4,7 +4,7 @@ import io
 import json
 import subprocess
 import threading
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, cast
@@ -32,15 +32,7 @@ WEB = ChildPlan(name="web", arguments=["serve"])
 class ScriptedChild:
     """Process double: time and code of its end, output, and time to leave."""
 
-    def __init__(
-        self,
-        code: int | None = None,
-        *,
-        after_s: float = 0.0,
-        says: Sequence[str] = (),
-        leaves_after_s: float | None = 0.0,
-        announces: bool = True,
-    ) -> None:
+    def __init__(self, code=None, *, after_s=0.0, says=(), leaves_after_s=0.0, announces=True):
         self.code, self.after_s, self.leaves_after_s = code, after_s, leaves_after_s
         if announces and code is not None and code >= 0:
             says = [*says, json.dumps({"event": ANNOUNCEMENT, "code": code})]
@@ -52,9 +44,7 @@ class ScriptedChild:
 class World:
     """Time, starts and heartbeats; ends everything at ``until_s``."""
 
-    def __init__(
-        self, *lives: ScriptedChild, plans: Sequence[ChildPlan] = (RECORDER,), until_s: float = 1e4
-    ) -> None:
+    def __init__(self, *lives, plans=(RECORDER,), until_s=1e4):
         self.now_s, self.until_s = 0.0, until_s
         self.lives = list(lives)
         self.started: list[tuple[float, list[str], Mapping[str, str]]] = []
@@ -64,7 +54,7 @@ class World:
         self.guarded_s: list[float] = []
         self.plans = plans
 
-    def run(self, *, stay: bool = False, give_up: bool = False) -> int:
+    def run(self, *, stay=False, give_up=False):
         supervisor = Supervisor(
             self.plans,
             Path("unused"),
@@ -79,47 +69,47 @@ class World:
         return supervisor.run(cast(threading.Event, self), stay=stay)
 
     # The stop event of the supervisor: a wait for it advances the time.
-    def is_set(self) -> bool:
+    def is_set(self):
         return self.now_s >= self.until_s
 
-    def wait(self, seconds: float) -> bool:
+    def wait(self, seconds):
         self.now_s += seconds
         return self.is_set()
 
-    def _start(self, command: Sequence[str], environment: Mapping[str, str]) -> subprocess.Popen[bytes]:
+    def _start(self, command, environment):
         self.started.append((self.now_s, list(command), environment))
         life = self.lives.pop(0) if self.lives else ScriptedChild()
         process = _Process(self, life)
         self.running.append(life)
         return cast("subprocess.Popen[bytes]", process)
 
-    def starts_s(self) -> list[float]:
+    def starts_s(self):
         return [at_s for at_s, _, _ in self.started]
 
-    def causes(self) -> list[str]:
+    def causes(self):
         return [command[2] for _, command, _ in self.started]
 
 
 class _Process:
     """`Popen` double of the supervisor."""
 
-    def __init__(self, world: World, life: ScriptedChild) -> None:
+    def __init__(self, world, life):
         self._world, self._life = world, life
         self.stdin, self.stdout, self.pid = life.stdin, life.stdout, 4711
         self.stderr = io.BytesIO()
         life.started_s = world.now_s
 
-    def poll(self) -> int | None:
+    def poll(self):
         life = self._life
         if life.killed_s is not None:
             return KILLED
         ended = life.code is not None and self._world.now_s >= life.started_s + life.after_s
         return life.code if ended else None
 
-    def kill(self) -> None:
+    def kill(self):
         self._life.killed_s = self._world.now_s
 
-    def wait(self, timeout: float | None = None) -> int:
+    def wait(self, timeout=None):
         code = self.poll()
         if code is not None:
             return code
@@ -133,7 +123,7 @@ class _Process:
         return 0
 
 
-def beat_at(world: World, mono_s: float, *, boot: str | None = None, deadline_s: float = 5.0) -> Beat:
+def beat_at(world, mono_s, *, boot=None, deadline_s=5.0):
     return Beat(
         process=1,
         mono_ns=round(mono_s * NS_PER_S),
@@ -143,7 +133,7 @@ def beat_at(world: World, mono_s: float, *, boot: str | None = None, deadline_s:
     )
 
 
-def test_a_recorder_that_is_done_ends_the_supervision_unless_the_web_stays() -> None:
+def test_a_recorder_that_is_done_ends_the_supervision_unless_the_web_stays():
     assert World(ScriptedChild(0)).run() == 0
     world = World(ScriptedChild(0), ScriptedChild(), plans=(RECORDER, WEB), until_s=100.0)
     assert world.run(stay=True) == 0
@@ -151,7 +141,7 @@ def test_a_recorder_that_is_done_ends_the_supervision_unless_the_web_stays() -> 
     assert len(world.started) == 2
 
 
-def test_a_recorder_stopped_by_an_operator_is_not_restarted() -> None:
+def test_a_recorder_stopped_by_an_operator_is_not_restarted():
     """Exit code 130 is a command of the operator: a restart would strike against it."""
     world = World(ScriptedChild(130))
     assert world.run() == 130
@@ -161,7 +151,7 @@ def test_a_recorder_stopped_by_an_operator_is_not_restarted() -> None:
 
 @pytest.mark.parametrize("code", [0, 2, 3, 4, 5, 130])
 @pytest.mark.parametrize("plan", [RECORDER, WEB])
-def test_an_exit_code_that_was_not_announced_is_a_crash(plan: ChildPlan, code: int) -> None:
+def test_an_exit_code_that_was_not_announced_is_a_crash(plan, code):
     """A driver or vendor library ended the process and does not know the exit codes."""
     world = World(
         ScriptedChild(code, after_s=1.0, announces=False), ScriptedChild(), plans=(plan,), until_s=10.0
@@ -172,14 +162,14 @@ def test_an_exit_code_that_was_not_announced_is_a_crash(plan: ChildPlan, code: i
     assert world.messages == [(plan.name, {"event": "restarts", **cause})]
 
 
-def test_an_announced_code_counts_also_where_a_library_ends_the_process_afterwards() -> None:
+def test_an_announced_code_counts_also_where_a_library_ends_the_process_afterwards():
     ended = json.dumps({"event": ANNOUNCEMENT, "code": 3})
     assert World(ScriptedChild(-11, says=[ended])).run() == 3
     assert World(ScriptedChild(0, says=[ended], announces=False)).run() == 3
 
 
 @pytest.mark.parametrize("code", [2, 3, 4, 5])
-def test_a_documented_exit_code_stops_all_processes_and_is_passed_on(code: int) -> None:
+def test_a_documented_exit_code_stops_all_processes_and_is_passed_on(code):
     web = ScriptedChild()
     world = World(ScriptedChild(code, after_s=1.0), web, plans=(RECORDER, WEB))
     assert world.run(stay=True) == code
@@ -187,14 +177,14 @@ def test_a_documented_exit_code_stops_all_processes_and_is_passed_on(code: int) 
     assert web.stdin.closed
 
 
-def test_a_started_test_is_served_after_its_recorder_has_ended() -> None:
+def test_a_started_test_is_served_after_its_recorder_has_ended():
     """An engineer wants to see the reason; the code is passed on when the dashboard is stopped."""
     line = json.dumps({"event": "progress", "done": 1})
     recorder = ScriptedChild(4, after_s=1.0, says=[line])
     world = World(recorder, ScriptedChild(), plans=(RECORDER, WEB), until_s=100.0)
     waiting, patience = world.wait, threading.Event()
 
-    def wait(seconds: float) -> bool:
+    def wait(seconds):
         if world.messages:
             return waiting(seconds)
         patience.wait(0.001)  # the time does not advance until the line is received
@@ -209,7 +199,7 @@ def test_a_started_test_is_served_after_its_recorder_has_ended() -> None:
     assert world.guarded_s[-1] > 99.0
 
 
-def test_a_child_that_keeps_failing_waits_longer_each_time() -> None:
+def test_a_child_that_keeps_failing_waits_longer_each_time():
     world = World(*(ScriptedChild(1) for _ in range(9)), until_s=120.0)
     world.run()
     pauses = [b - a for a, b in zip(world.starts_s(), world.starts_s()[1:], strict=False)]
@@ -219,7 +209,7 @@ def test_a_child_that_keeps_failing_waits_longer_each_time() -> None:
     assert world.causes()[:2] == ["", "ended with exit code 1"]
 
 
-def test_a_child_that_lived_well_starts_again_at_the_first_delay() -> None:
+def test_a_child_that_lived_well_starts_again_at_the_first_delay():
     world = World(
         ScriptedChild(1),
         ScriptedChild(1),
@@ -234,20 +224,20 @@ def test_a_child_that_lived_well_starts_again_at_the_first_delay() -> None:
     assert started[3] - started[2] == pytest.approx(HEALTHY_AFTER_S + RESTART_DELAYS_S[0], abs=0.101)
 
 
-def test_a_child_that_always_crashes_is_given_up() -> None:
+def test_a_child_that_always_crashes_is_given_up():
     world = World(*(ScriptedChild(1) for _ in range(20)))
     assert world.run(give_up=True) == 1
     assert len(world.started) == 1 + len(RESTART_DELAYS_S)
 
 
-def test_a_child_gets_its_environment_and_the_cause_of_its_restart() -> None:
+def test_a_child_gets_its_environment_and_the_cause_of_its_restart():
     world = World(ScriptedChild(-15), ScriptedChild(0))
     world.run()
     assert world.started[0][1:] == (["solimon", "record", ""], {"A": "1"})
     assert world.causes()[1] == "was killed by signal 15"
 
 
-def test_a_recorder_is_killed_at_its_deadline() -> None:
+def test_a_recorder_is_killed_at_its_deadline():
     hung = ScriptedChild()
     world = World(hung, ScriptedChild(0))
     world.beat = lambda: beat_at(world, min(world.now_s, 20.0))
@@ -257,7 +247,7 @@ def test_a_recorder_is_killed_at_its_deadline() -> None:
     assert world.causes()[1].endswith("s past its deadline of 5 s")
 
 
-def test_a_beat_on_the_pipe_counts_where_the_file_has_none() -> None:
+def test_a_beat_on_the_pipe_counts_where_the_file_has_none():
     """A full disk must not cause a restart of the recorder."""
     alive = ScriptedChild()
     world = World(alive, ScriptedChild(0))
@@ -270,7 +260,7 @@ def test_a_beat_on_the_pipe_counts_where_the_file_has_none() -> None:
     assert world.messages == [("recorder", message), ("recorder", restarts)], "of two beats alike one is news"
 
 
-def test_a_web_service_that_stalls_is_killed_and_started_again() -> None:
+def test_a_web_service_that_stalls_is_killed_and_started_again():
     """It has sent one beat and no other: its event loop hangs, or its process is stopped."""
     stalled = ScriptedChild()
     world = World(stalled, ScriptedChild(), plans=(WEB,), until_s=60.0)
@@ -283,42 +273,40 @@ def test_a_web_service_that_stalls_is_killed_and_started_again() -> None:
     assert world.running[1].killed_s is None, "one that has not beaten yet is left alone"
 
 
-def test_a_recorder_that_beats_is_left_alone() -> None:
+def test_a_recorder_that_beats_is_left_alone():
     world = World(ScriptedChild(0, after_s=500.0))
     world.beat = lambda: beat_at(world, 4.0 * (world.now_s // 4.0))
     assert world.run() == 0
     assert len(world.started) == 1
 
 
-def test_an_unreadable_beat_does_not_replace_the_previous_one() -> None:
+def test_an_unreadable_beat_does_not_replace_the_previous_one():
     world = World(ScriptedChild(0, after_s=STARTING_GRACE_S + 20.0))
     world.beat = lambda: None if round(world.now_s / 0.05) % 3 else beat_at(world, world.now_s)
     assert world.run() == 0
     assert len(world.started) == 1
 
 
-def stale(world: World) -> Beat:
+def stale(world):
     """Return the beat of the previous recorder."""
     return beat_at(world, -100.0)
 
 
-def earlier_boot(world: World) -> Beat:
+def earlier_boot(world):
     """Return a beat ahead of this boot's monotonic time, with the same process number."""
     return beat_at(world, 1e6, boot="another")
 
 
-def earlier_boot_of_an_older_version(world: World) -> Beat:
+def earlier_boot_of_an_older_version(world):
     return beat_at(world, 1e6)
 
 
-def no_beat(world: World) -> None:
+def no_beat(world):
     return None
 
 
 @pytest.mark.parametrize("found", [no_beat, stale, earlier_boot, earlier_boot_of_an_older_version])
-def test_a_child_without_a_beat_of_its_own_has_its_starting_grace(
-    found: Callable[[World], Beat | None],
-) -> None:
+def test_a_child_without_a_beat_of_its_own_has_its_starting_grace(found):
     silent = ScriptedChild()
     world = World(silent, ScriptedChild(0))
     world.beat = lambda: found(world)
@@ -327,7 +315,7 @@ def test_a_child_without_a_beat_of_its_own_has_its_starting_grace(
     assert world.causes()[1] == f"gave no heartbeat within {STARTING_GRACE_S:g} s of its start"
 
 
-def test_children_are_stopped_together_and_killed_after_their_time_limit() -> None:
+def test_children_are_stopped_together_and_killed_after_their_time_limit():
     good, bad = ScriptedChild(leaves_after_s=1.0), ScriptedChild(leaves_after_s=None)
     world = World(good, bad, plans=(RECORDER, WEB), until_s=10.0)
     assert world.run(stay=True) == 0
@@ -335,9 +323,7 @@ def test_children_are_stopped_together_and_killed_after_their_time_limit() -> No
     assert bad.killed_s == pytest.approx(10.0 + LEAVE_WITHIN_S, abs=0.051)
 
 
-def test_a_childs_messages_are_passed_on_and_other_lines_are_not(
-    caplog: pytest.LogCaptureFixture,
-) -> None:
+def test_a_childs_messages_are_passed_on_and_other_lines_are_not(caplog):
     says = [json.dumps({"event": "progress", "done": 1}), "hello", json.dumps({"event": "finished"})]
     world = World(ScriptedChild(0, says=says))
     world.run()
@@ -349,20 +335,20 @@ def test_a_childs_messages_are_passed_on_and_other_lines_are_not(
 
 
 @pytest.mark.parametrize("code", [1, 4, 5])
-def test_a_web_service_that_has_listened_is_started_again_at_its_port(code: int) -> None:
+def test_a_web_service_that_has_listened_is_started_again_at_its_port(code):
     says = [json.dumps({"event": "listening", "url": "http://127.0.0.1:4711/", "port": 4711})]
     # It ends after its line is read, however late its reader comes to it.
     first = ScriptedChild(None, says=says)
     world = World(first, ScriptedChild(), plans=(WEB,), until_s=10.0)
 
-    def ends_once_heard() -> None:
+    def ends_once_heard():
         if world.messages and first.code is None:
             first.code = code
 
     waiting = world.wait
     patience = threading.Event()
 
-    def wait(seconds: float) -> bool:
+    def wait(seconds):
         ends_once_heard()
         if not world.messages:
             patience.wait(0.001)

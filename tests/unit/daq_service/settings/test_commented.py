@@ -2,7 +2,6 @@
 
 import math
 import tomllib
-from typing import Any
 
 import pytest
 from hypothesis import given, settings
@@ -26,7 +25,7 @@ VALUES = st.recursive(
 )
 
 
-def same(one: Any, other: Any) -> bool:
+def same(one, other):
     """Return whether values and types are equal; NaN equals itself, -0.0 is not 0.0."""
     if isinstance(one, dict) and isinstance(other, dict):
         return list(one.keys() ^ other.keys()) == [] and all(same(one[key], other[key]) for key in one)
@@ -42,12 +41,12 @@ def same(one: Any, other: Any) -> bool:
 
 @settings(max_examples=100, deadline=None)
 @given(values=st.dictionaries(NAMES, VALUES, max_size=4))
-def test_a_written_configuration_reads_back_equal(values: dict[str, Any]) -> None:
+def test_a_written_configuration_reads_back_equal(values):
     assert same(tomllib.loads(commented_toml(values, head="Some words\n\nand more")), values)
 
 
 @pytest.mark.parametrize("name", ["laboratory.toml", "simulated.toml"])
-def test_the_shipped_values_are_written_and_read_again(name: str) -> None:
+def test_the_shipped_values_are_written_and_read_again(name):
     values = tomllib.loads(switched_on(config_file(name).read_text(encoding="utf-8")))
     text = commented_toml(values)
     assert same(tomllib.loads(text), values)
@@ -65,11 +64,11 @@ def test_the_shipped_values_are_written_and_read_again(name: str) -> None:
         (True, "true"),
     ],
 )
-def test_numbers_are_short(value: Any, text: str) -> None:
+def test_numbers_are_short(value, text):
     assert f"\nread_timeout_s = {text} " in commented_toml({"rig": {"read_timeout_s": value}})
 
 
-def test_each_key_has_its_description_once() -> None:
+def test_each_key_has_its_description_once():
     places = {name: {"method": "solitary_wave", "label": name} for name in "BC"}
     text = commented_toml({"positions": places, "alarms": {"k": 3}})
     assert describe(["alarms", "k"]) == "Outliers among the last `n` judged sets that raise the alarm."
@@ -79,7 +78,7 @@ def test_each_key_has_its_description_once() -> None:
     assert '[positions.C]\nmethod = "solitary_wave"\nlabel = "C"\n' in text
 
 
-def test_a_table_that_is_switched_off_is_no_value_until_it_is_switched_on() -> None:
+def test_a_table_that_is_switched_off_is_no_value_until_it_is_switched_on():
     values = {"rig": {"kind": "simulated", "climate": {"identity": "X", "line": {"port": "COM4"}}}}
     text = commented_toml(values, switched_off={("rig", "climate")})
     assert tomllib.loads(text) == {"rig": {"kind": "simulated"}}

@@ -1,8 +1,5 @@
 """A folder of an earlier version continues: its configuration hash has not changed."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 
 from daq_service.settings.commented import switched_on
@@ -21,7 +18,7 @@ BY_SETS = {"alarms": {"decides_by": "k_of_n"}}
 """As alarms were raised by the versions that hashed these."""
 
 
-def shipped(folder: Path, *, everything: bool) -> Settings:
+def shipped(folder, *, everything):
     text = config_file("laboratory.toml").read_text(encoding="utf-8").replace(PLACEHOLDER, "FFFFFFFF")
     path = folder / "laboratory.toml"
     path.write_text(switched_on(text) if everything else text, encoding="utf-8")
@@ -30,7 +27,7 @@ def shipped(folder: Path, *, everything: bool) -> Settings:
 
 WITH_PROBE = {"kind": "daqmx", "daqmx": BOARDS, "niscope": {"probes": {"A": {"resource": "PXI1Slot4"}}}}
 TDMS = {"source": "old", "format": "tdms", "tdms": {}}
-RIGS: dict[str, dict[str, Any]] = {
+RIGS = {
     "4c5c6748c413e20d": {"rig": {"kind": "simulated"}},
     "8e483ee2bff44c8d": {**ONE, "rig": {"kind": "daqmx", "daqmx": BOARDS}},
     "36abfddee2a9ed45": {**ONE, "rig": {"kind": "daqmx", "daqmx": OVER_GRPC}},
@@ -44,18 +41,18 @@ RIGS: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.parametrize("digest", RIGS)
-def test_a_rig_of_each_kind_keeps_its_hash(digest: str) -> None:
+def test_a_rig_of_each_kind_keeps_its_hash(digest):
     assert Settings(**RIGS[digest], **BY_SETS).configuration_hash().startswith(digest)
 
 
 @pytest.mark.parametrize(("everything", "digest"), [(False, "f6969c269925c427"), (True, "33565d5ea9f1ef4f")])
-def test_the_shipped_laboratory_keeps_its_hash(everything: bool, digest: str, tmp_path: Path) -> None:
+def test_the_shipped_laboratory_keeps_its_hash(everything, digest, tmp_path):
     assert shipped(tmp_path, everything=everything).configuration_hash().startswith(digest)
 
 
-def test_the_shipped_twin_keeps_its_hash() -> None:
+def test_the_shipped_twin_keeps_its_hash():
     assert load_settings(None, overrides=BY_SETS).configuration_hash().startswith("4c5c6748c413e20d")
 
 
-def test_alarm_settings_are_part_of_the_hash() -> None:
+def test_alarm_settings_are_part_of_the_hash():
     assert Settings().configuration_hash() != Settings(**BY_SETS).configuration_hash()

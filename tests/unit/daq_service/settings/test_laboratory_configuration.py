@@ -3,8 +3,6 @@
 import tomllib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -21,13 +19,13 @@ TEXT = SHIPPED.replace(PLACEHOLDER, "FFFFFFFF")
 WITH_EVERYTHING = switched_on(TEXT)
 
 
-def load(folder: Path, text: str) -> Settings:
+def load(folder, text):
     path = folder / "laboratory.toml"
     path.write_text(text, encoding="utf-8")
     return load_settings(path)
 
 
-def missing_keys(given: Mapping[str, Any], value: Any, where: str) -> list[str]:
+def missing_keys(given, value, where):
     """Return the keys of a parameter table that the file lacks, nested tables included."""
     if isinstance(value, Mapping):
         return [
@@ -47,14 +45,14 @@ def missing_keys(given: Mapping[str, Any], value: Any, where: str) -> list[str]:
 
 
 @pytest.mark.parametrize("text", [TEXT, WITH_EVERYTHING], ids=["as shipped", "with everything"])
-def test_the_shipped_configuration_is_accepted(text: str, tmp_path: Path) -> None:
+def test_the_shipped_configuration_is_accepted(text, tmp_path):
     settings = load(tmp_path, text)
     assert settings.rig.kind == "daqmx"
     assert settings.names_of("solitary_wave") == ["B", "C", "D"]
     assert settings.clock.kind == "wall"
 
 
-def test_every_key_of_the_rig_is_written_down(tmp_path: Path) -> None:
+def test_every_key_of_the_rig_is_written_down(tmp_path):
     rig, given = load(tmp_path, WITH_EVERYTHING).rig, tomllib.loads(WITH_EVERYTHING)["rig"]
     # No rig plays back and measures; this one is not mixed.
     assert set(RigSettings.model_fields) - set(given) == {"playback", *MixedRig.model_fields}
@@ -62,7 +60,7 @@ def test_every_key_of_the_rig_is_written_down(tmp_path: Path) -> None:
     assert [key for name in tables for key in missing_keys(given[name], getattr(rig, name), name)] == []
 
 
-def test_a_missing_key_is_detected(tmp_path: Path) -> None:
+def test_a_missing_key_is_detected(tmp_path):
     """This shows that the check above can fail."""
     text = WITH_EVERYTHING.replace('counter = "ctr1"\n', "").replace("\ntimeout_s = 2.0", "\n")
     rig, given = load(tmp_path, WITH_EVERYTHING).rig, tomllib.loads(text)["rig"]
@@ -72,7 +70,7 @@ def test_a_missing_key_is_detected(tmp_path: Path) -> None:
     ]
 
 
-def test_the_other_tables_have_the_values_of_the_paper(tmp_path: Path) -> None:
+def test_the_other_tables_have_the_values_of_the_paper(tmp_path):
     """The files of laboratory and twin differ only in the instruments."""
     laboratory, simulated = load(tmp_path, TEXT), Settings()
     for table in ("schedule", "features", "quality", "baseline", "novelty", "alarms", "ultrasound"):
@@ -87,7 +85,7 @@ def test_the_other_tables_have_the_values_of_the_paper(tmp_path: Path) -> None:
     )
 
 
-def test_each_coil_has_the_home_terminal_of_its_counter() -> None:
+def test_each_coil_has_the_home_terminal_of_its_counter():
     """X Series: CTR n OUT is PFI 12 + n, which is line 4 + n of port 2."""
     boards = tomllib.loads(WITH_EVERYTHING)["rig"]["daqmx"]
     wiring = boards["transducers"].values()
@@ -96,7 +94,7 @@ def test_each_coil_has_the_home_terminal_of_its_counter() -> None:
     assert boards["watchdog"]["lines"] == [f"port2/line{4 + number}" for number in numbers]
 
 
-def test_all_placeholders_are_rejected_together() -> None:
+def test_all_placeholders_are_rejected_together():
     unknown = [
         "rig.daqmx.transducers.B.board_serial: Serial number of the digitizer board",
         "rig.daqmx.transducers.C.board_serial: Serial number of the digitizer board",
@@ -115,12 +113,12 @@ def test_all_placeholders_are_rejected_together() -> None:
     assert last == f"Fill them in and run `solimon check-config {file}`."
 
 
-def test_a_placeholder_in_a_list_is_recognized(tmp_path: Path) -> None:
+def test_a_placeholder_in_a_list_is_recognized(tmp_path):
     with pytest.raises(UsageError, match=r"still PLACEHOLDER:\n  rig\.supply\.setup_commands"):
         load(tmp_path, TEXT.replace("setup_commands = []", 'setup_commands = ["PLACEHOLDER"]'))
 
 
-def test_the_environment_may_fill_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_may_fill_in(tmp_path, monkeypatch):
     text = TEXT.replace('identity = "FFFFFFFF"', 'identity = "PLACEHOLDER"')
     with pytest.raises(UsageError, match=r"rig\.supply\.identity"):
         load(tmp_path, text)
@@ -130,7 +128,7 @@ def test_the_environment_may_fill_in(tmp_path: Path, monkeypatch: pytest.MonkeyP
     assert supply.identity == "MAKER,MODEL,1"
 
 
-def test_one_variable_makes_a_dry_run(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_one_variable_makes_a_dry_run(tmp_path, monkeypatch):
     assert load(tmp_path, TEXT).rig.daqmx.dry_run is False
     monkeypatch.setenv("SOLIMON_RIG__DAQMX__DRY_RUN", "true")
     rehearsal = load(tmp_path, TEXT)
@@ -138,7 +136,7 @@ def test_one_variable_makes_a_dry_run(tmp_path: Path, monkeypatch: pytest.Monkey
     assert list(rehearsal.rig.daqmx.transducers) == ["B", "C", "D"]
 
 
-def test_the_plan_counts_the_boards_records(tmp_path: Path) -> None:
+def test_the_plan_counts_the_boards_records(tmp_path):
     text = TEXT.replace("record_samples = 13600", "record_samples = 20000")
     text = text.replace("record_samples = 2048", "record_samples = 4096")
     facts = describe_plan(load(tmp_path, text), tmp_path)
@@ -147,6 +145,6 @@ def test_the_plan_counts_the_boards_records(tmp_path: Path) -> None:
     assert facts["raw_bytes"] == 425 * (30 * 20_000 * 2 + 4096 * 4)
 
 
-def test_the_plan_of_the_twin_counts_the_twin_s_records(tmp_path: Path) -> None:
+def test_the_plan_of_the_twin_counts_the_twin_s_records(tmp_path):
     facts = describe_plan(Settings(), tmp_path)
     assert (facts["record_samples"], facts["raw_bytes"]) == (13_600, 425 * 2 * (30 * 13_600 + 2048))

@@ -1,8 +1,5 @@
 """A rig of several instruments: each position is served, each instrument used, an error names its key."""
 
-from pathlib import Path
-from typing import Any
-
 import pytest
 from support.offered_kinds import offer
 from support.scripted_kinds import OFFERED
@@ -12,7 +9,6 @@ from daq_service.settings.file import load_settings
 from daq_service.settings.instruments import instruments_of
 from daq_service.settings.schema import schema_with_kinds
 from daq_service.settings.stored import differences, stored_settings
-from daq_service.settings.tree import Settings
 
 HEAD = """
 [clock]
@@ -60,17 +56,17 @@ instrument = "psu"
 
 
 @pytest.fixture(autouse=True)
-def lab_drivers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def lab_drivers(tmp_path, monkeypatch):
     offer(monkeypatch, tmp_path / "site", OFFERED)
 
 
-def load(folder: Path, text: str) -> Settings:
+def load(folder, text):
     path = folder / "rig.toml"
     path.write_text(text, encoding="utf-8")
     return load_settings(path)
 
 
-def test_each_instrument_has_its_positions_and_defaults(tmp_path: Path) -> None:
+def test_each_instrument_has_its_positions_and_defaults(tmp_path):
     settings = load(tmp_path, GOOD)
     boards, scope = instruments_of(settings)
     assert boards.serves == {"digitizer": ("B",), "striker": ("B", "C")}
@@ -104,9 +100,7 @@ def test_each_instrument_has_its_positions_and_defaults(tmp_path: Path) -> None:
         ('kind = "daqmx"', 'kind = "daqmx"\nholdoff_s = 0.01', "holdoff_s is 0.01 s, but transducers.C has "),
     ],
 )  # fmt: skip
-def test_an_invalid_instrument_is_rejected_with_key_and_remedy(
-    old: str, new: str, complaint: str, tmp_path: Path
-) -> None:
+def test_an_invalid_instrument_is_rejected_with_key_and_remedy(old, new, complaint, tmp_path):
     assert old in GOOD
     if "holdoff" in new:  # C digitized without its counter
         text = GOOD.replace('input = ""\ncounter = "ctr1"', 'input = "ai1"\ncounter = ""')
@@ -119,33 +113,31 @@ def test_an_invalid_instrument_is_rejected_with_key_and_remedy(
     assert str(refusal.value).startswith(str(tmp_path / "rig.toml"))
 
 
-def test_two_instruments_of_one_kind_are_two(tmp_path: Path) -> None:
+def test_two_instruments_of_one_kind_are_two(tmp_path):
     second = '[rig.instruments.second]\nkind = "scripted-scope"\n'
     boards = BOARDS.replace('"01A2B3C4"\n', '"01A2B3C4"\ninput = ""\n', 1)
     settings = load(tmp_path, HEAD + boards + SCOPE + second + PLACES.replace('"boards"\n', '"second"\n', 1))
     assert [item.name for item in instruments_of(settings)] == ["boards", "scope", "second"]
 
 
-def test_the_address_of_an_instrument_does_not_change_the_hash(tmp_path: Path) -> None:
+def test_the_address_of_an_instrument_does_not_change_the_hash(tmp_path):
     first = load(tmp_path, GOOD)
     moved = load(tmp_path, GOOD.replace("range_v = 5.0", 'range_v = 5.0\naddress = "lan"'))
     other = load(tmp_path, GOOD.replace("range_v = 5.0", "range_v = 10.0"))
     assert first.configuration_hash() == moved.configuration_hash() != other.configuration_hash()
-    stored: dict[str, Any] = first.model_dump(mode="json")
+    stored = first.model_dump(mode="json")
     assert differences(stored, moved) == []
     assert differences(stored, other) == ["rig.instruments.scope.range_v began with 5.0, is 10.0 now"]
 
 
-def test_a_default_that_a_plug_in_got_later_is_no_difference(tmp_path: Path) -> None:
+def test_a_default_that_a_plug_in_got_later_is_no_difference(tmp_path):
     settings = load(tmp_path, GOOD)
     stored = settings.model_dump(mode="json")
     del stored["rig"]["instruments"]["scope"]["range_v"]
     assert differences(stored, load(tmp_path, GOOD.replace("range_v = 5.0", ""))) == []
 
 
-def test_a_folder_is_read_where_the_plug_in_is_not_installed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_folder_is_read_where_the_plug_in_is_not_installed(tmp_path, monkeypatch):
     stored = load(tmp_path, GOOD).model_dump(mode="json")
     monkeypatch.undo()
     settings = stored_settings(stored)
@@ -155,14 +147,12 @@ def test_a_folder_is_read_where_the_plug_in_is_not_installed(
         load(tmp_path, GOOD)
 
 
-def test_the_environment_reaches_a_plug_in_s_parameters(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_environment_reaches_a_plug_in_s_parameters(tmp_path, monkeypatch):
     monkeypatch.setenv("SOLIMON_RIG__INSTRUMENTS__SCOPE__RANGE_V", "2.5")
     assert load(tmp_path, GOOD).rig.instruments["scope"].parameters["range_v"] == 2.5
 
 
-def test_the_drive_is_an_instrument_s_by_its_name(tmp_path: Path) -> None:
+def test_the_drive_is_an_instrument_s_by_its_name(tmp_path):
     settings = load(tmp_path, GOOD + PSU)
     (psu,) = (item for item in instruments_of(settings) if item.name == "psu")
     assert psu.serves == {"supply": ()}
@@ -183,12 +173,12 @@ def test_the_drive_is_an_instrument_s_by_its_name(tmp_path: Path) -> None:
         ("[rig.drive]", '[rig.supply]\nline={port="COM4"}\nidentity="A,B"\n[rig.drive]', "are both given"),
     ],
 )  # fmt: skip
-def test_a_drive_that_cannot_work_is_refused(old: str, new: str, complaint: str, tmp_path: Path) -> None:
+def test_a_drive_that_cannot_work_is_refused(old, new, complaint, tmp_path):
     with pytest.raises(UsageError, match=complaint):
         load(tmp_path, GOOD + PSU.replace(old, new))
 
 
-def test_the_printed_schema_has_the_installed_kinds() -> None:
+def test_the_printed_schema_has_the_installed_kinds():
     schema = schema_with_kinds()
     kinds = {
         choice["then"]["properties"]["kind"]["const"]: choice["then"]
@@ -201,6 +191,6 @@ def test_the_printed_schema_has_the_installed_kinds() -> None:
     assert wiring["properties"]["counter"]["description"].startswith("Counter that times the coil's pulse")
 
 
-def test_a_rehearsal_of_one_instrument_is_one_of_the_rig(tmp_path: Path) -> None:
+def test_a_rehearsal_of_one_instrument_is_one_of_the_rig(tmp_path):
     assert not load(tmp_path, GOOD).rig.dry_run
     assert load(tmp_path, GOOD.replace('kind = "daqmx"', 'kind = "daqmx"\ndry_run = true')).rig.dry_run

@@ -2,8 +2,6 @@
 
 import copy
 import json
-from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -15,16 +13,16 @@ from daq_service.settings.tree import NoveltySettings, Settings
 NOW = Settings()
 
 
-def stored_configuration() -> dict[str, Any]:
+def stored_configuration():
     """Return what a folder of the present default test stores."""
     return NOW.model_dump(mode="json")
 
 
-def test_a_stored_configuration_of_this_version_has_no_differences() -> None:
+def test_a_stored_configuration_of_this_version_has_no_differences():
     assert differences(stored_configuration(), NOW) == []
 
 
-def test_a_key_that_came_later_counts_with_its_default() -> None:
+def test_a_key_that_came_later_counts_with_its_default():
     before = stored_configuration()
     del before["quality"], before["plate"]["contact"]
     for position in before["positions"].values():
@@ -35,7 +33,7 @@ def test_a_key_that_came_later_counts_with_its_default() -> None:
     ]
 
 
-def test_a_key_that_came_later_with_a_new_way_counts_as_what_was_done_before() -> None:
+def test_a_key_that_came_later_with_a_new_way_counts_as_what_was_done_before():
     before = stored_configuration()
     del before["alarms"]["decides_by"]
     unchanged = copy.deepcopy(before)
@@ -47,7 +45,7 @@ def test_a_key_that_came_later_with_a_new_way_counts_as_what_was_done_before() -
     assert before == unchanged
 
 
-def test_a_json_file_that_leaves_the_table_out_means_the_default(tmp_path: Path) -> None:
+def test_a_json_file_that_leaves_the_table_out_means_the_default(tmp_path):
     file = tmp_path / "mine.json"
     file.write_text(json.dumps({"schedule": {"shots_per_set": 9}}), encoding="utf-8")
     assert load_settings(file).alarms.decides_by == "chart"
@@ -57,7 +55,7 @@ def test_a_json_file_that_leaves_the_table_out_means_the_default(tmp_path: Path)
     assert load_settings(file).alarms.decides_by == "k_of_n"
 
 
-def test_the_receivers_of_alarms_may_change_between_starts() -> None:
+def test_the_receivers_of_alarms_may_change_between_starts():
     duty = {"url": "http://127.0.0.1/", "secret_env": "DUTY_SECRET"}
     with_receivers = Settings(notifications={"receivers": {"duty": duty}, "rules": [{"receivers": ["duty"]}]})
     other = Settings(notifications={"receivers": {"night": duty}, "rules": [{"receivers": ["night"]}]})
@@ -72,21 +70,21 @@ def test_the_receivers_of_alarms_may_change_between_starts() -> None:
     assert differences(with_receivers.model_dump(mode="json"), NOW) == []
 
 
-def test_a_position_is_named_where_it_differs_from_the_table_above() -> None:
+def test_a_position_is_named_where_it_differs_from_the_table_above():
     given = Settings(positions={"B": {"method": "solitary_wave", "chain": {"drop_height_m": 5.1e-3}}})
     before = given.model_dump(mode="json")
     before["positions"]["B"]["chain"]["drop_height_m"] = 5e-3
     assert differences(before, given) == ["positions.B.chain.drop_height_m began with 0.005, is 0.0051 now"]
 
 
-def test_a_changed_default_is_a_change_of_meaning() -> None:
+def test_a_changed_default_is_a_change_of_meaning():
     """The stored configuration has all values, so the default of its version is not lost."""
     before = stored_configuration()
     given = NOW.model_copy(update={"novelty": NoveltySettings(false_alarm_rate=0.01)})
     assert differences(before, given) == ["novelty.false_alarm_rate began with 0.0027, is 0.01 now"]
 
 
-def test_the_environment_is_no_part_of_a_stored_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_is_no_part_of_a_stored_configuration(monkeypatch):
     monkeypatch.setenv("SOLIMON_CHAIN__DROP_HEIGHT_M", "5.1e-3")
     assert differences(stored_configuration(), NOW) == []
     assert differences(stored_configuration(), Settings()) == [
@@ -94,7 +92,7 @@ def test_the_environment_is_no_part_of_a_stored_configuration(monkeypatch: pytes
     ]
 
 
-def test_a_key_that_went_is_named_unless_nothing_measured_depended_on_it() -> None:
+def test_a_key_that_went_is_named_unless_nothing_measured_depended_on_it():
     before = stored_configuration()
     before["novelty"]["ghost"] = 3
     before["web"]["ghost"] = 4
@@ -106,7 +104,7 @@ def test_a_key_that_went_is_named_unless_nothing_measured_depended_on_it() -> No
     ]
 
 
-def test_a_value_that_this_version_refuses_is_named() -> None:
+def test_a_value_that_this_version_refuses_is_named():
     before = stored_configuration()
     before["alarms"]["k"] = 0
     (line,) = differences(before, NOW)
@@ -114,9 +112,7 @@ def test_a_value_that_this_version_refuses_is_named() -> None:
 
 
 @pytest.mark.parametrize(("today", "measured"), [("positions.*.plate.contact", "node"), (None, None)])
-def test_a_renamed_key_is_read_under_its_name_of_today(
-    monkeypatch: pytest.MonkeyPatch, today: str | None, measured: str | None
-) -> None:
+def test_a_renamed_key_is_read_under_its_name_of_today(monkeypatch, today, measured):
     monkeypatch.setattr(stored, "RENAMED", {"positions.*.plate.touch": today})
     before = stored_configuration()
     for position in before["positions"].values():
@@ -126,7 +122,7 @@ def test_a_renamed_key_is_read_under_its_name_of_today(
     assert differences(before, NOW) == []
 
 
-def test_a_renamed_table_takes_its_keys_along(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_renamed_table_takes_its_keys_along(monkeypatch):
     monkeypatch.setattr(stored, "RENAMED", {"judgement": "novelty"})
     before = stored_configuration()
     before["judgement"] = {**before.pop("novelty"), "false_alarm_rate": 0.01}
@@ -135,7 +131,7 @@ def test_a_renamed_table_takes_its_keys_along(monkeypatch: pytest.MonkeyPatch) -
     assert before == unchanged
 
 
-def test_a_long_list_of_differences_is_cut_with_its_length() -> None:
+def test_a_long_list_of_differences_is_cut_with_its_length():
     *lines, last = differences(stored_configuration(), Settings(positions={"Z": {"method": "pulse_echo"}}))
     assert len(lines) == SHOWN
     assert last.startswith("and ")

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable
 from contextlib import contextmanager
 from types import ModuleType
-from typing import Any
 
 import pytest
 from pydantic import BaseModel, ConfigDict
@@ -55,11 +53,11 @@ OFFERED = {
 class Cable:
     """Cable of a scripted instrument that its double can pull."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.pulled = False
         self.held = False
 
-    def require(self) -> None:
+    def require(self):
         if self.pulled:
             raise ConnectionLostError("the cable is pulled; plug it in")
 
@@ -67,7 +65,7 @@ class Cable:
 class Digitizer(SoundDigitizer):
     """Sound digitizer at a cable."""
 
-    def __init__(self, cable: Cable) -> None:
+    def __init__(self, cable):
         super().__init__()
         self.cable = cable
 
@@ -91,7 +89,7 @@ class Digitizer(SoundDigitizer):
 class Striker(SoundStriker):
     """Sound striker at a cable; a coil without power is off."""
 
-    def __init__(self, cable: Cable) -> None:
+    def __init__(self, cable):
         super().__init__()
         self.cable = cable
 
@@ -151,15 +149,15 @@ class CanBeChanged(Parameters):
 
 def kind_of(
     *,
-    digitizer: Callable[[Cable], Any] = Digitizer,
-    striker: Callable[[Cable], Any] = Striker,
-    parameters: type[BaseModel] = Parameters,
-    identity: dict[str, str] | None = None,
-    closes: bool = True,
-    opening_raises: type[Exception] = ConnectionLostError,
-    leaving_raises: type[Exception] = ConnectionLostError,
-    remedy: str = "look at it",
-) -> tuple[Kind[Any], Double, Kind[Any]]:
+    digitizer=Digitizer,
+    striker=Striker,
+    parameters=Parameters,
+    identity=None,
+    closes=True,
+    opening_raises=ConnectionLostError,
+    leaving_raises=ConnectionLostError,
+    remedy="look at it",
+):
     """A sound kind but for what is given, its double, and a kind that strikes for it."""
     digitizers, strikers, cable = [], [], Cable()
 
@@ -233,7 +231,7 @@ def prove(pytester, monkeypatch):
     configuration.write_text(CONFIGURATION)
 
     def run(*options, **broken):
-        module: Any = ModuleType("scripted_kind")
+        module = ModuleType("scripted_kind")
         module.KIND, module.DOUBLE, module.HAMMER = kind_of(**broken)
         monkeypatch.setitem(sys.modules, "scripted_kind", module)
         command = ["--pyargs", "hardware_drivers.conformance", "--solimon-kind", "scripted"]
@@ -253,7 +251,7 @@ def prove(pytester, monkeypatch):
 WITH_DOUBLE = ("--solimon-config", "rig.toml", "--solimon-double", "scripted_kind:DOUBLE")
 
 
-def broken_rules(result: pytest.RunResult) -> list[str]:
+def broken_rules(result):
     """Rules that the summary names, by suite."""
     return [line.removeprefix("  broken: ") for line in result.outlines if line.startswith("  broken: ")]
 

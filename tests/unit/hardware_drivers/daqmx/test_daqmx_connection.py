@@ -1,7 +1,5 @@
 """What a refusal half-way through making a vendor's object leaves behind: nothing."""
 
-from __future__ import annotations
-
 import pytest
 
 from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring

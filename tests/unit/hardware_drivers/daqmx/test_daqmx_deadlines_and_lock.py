@@ -1,7 +1,5 @@
 """Every gRPC call ends, and one process of a computer uses a client name."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

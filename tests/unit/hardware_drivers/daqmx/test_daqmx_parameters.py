@@ -1,7 +1,5 @@
 """Wiring that cannot work is refused while the file is read, with value, limit and remedy."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from dataclasses import replace

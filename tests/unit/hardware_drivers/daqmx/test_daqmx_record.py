@@ -1,7 +1,5 @@
 """A record is believed only if it is whole and passes its own trigger level where the trigger is."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The X Series watchdog guards each strike: started before the pulse, checked and stopped after it."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

@@ -5,7 +5,7 @@ import numba
 from simulator.numerics.machine_code import compilation_reported
 
 
-def test_a_compilation_is_reported_at_its_start_and_end_only() -> None:
+def test_a_compilation_is_reported_at_its_start_and_end_only():
     @numba.njit  # nothing is kept on disk: a second run of the tests compiles again
     def inner(x):
         return x + 1.0
@@ -14,7 +14,7 @@ def test_a_compilation_is_reported_at_its_start_and_end_only() -> None:
     def outer(x):
         return 2.0 * inner(x)
 
-    reports: list[bool] = []
+    reports = []
     with compilation_reported(reports.append):
         assert outer(1.0) == 4.0
         assert reports == [True, False], "the inner loop is compiled for the outer one"

@@ -40,7 +40,7 @@ VERSION = {0x1272: 24, 0x1923: 8, 0x2F22: 0}
 class Script:
     """A brain with scripted answers that records its calls."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.calls: list[tuple[str, Mapping[str, Any]]] = []
         self.answers: dict[str, Mapping[str, Any] | Status] = {}
         self._next_task = 100

@@ -9,7 +9,6 @@ import sys
 import textwrap
 import threading
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -326,7 +325,7 @@ def test_the_page_s_example_runs(double_library, tmp_path, monkeypatch):
             "environment": None,
         },
     )
-    names: dict[str, Any] = {}
+    names = {}
     exec(compile(example, "doubles.md", "exec"), names)
     functions = [call["function"] for call in names["record"]["calls"]]
     assert "DAQmxGetSystemInfoAttribute" in functions
