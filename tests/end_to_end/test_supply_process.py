@@ -7,7 +7,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,9 +25,10 @@ from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, SetRow
 from daq_service.cli.run import remote_drive, start_drive
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
+from daq_service.corrosion_drive.channel import connect
 from daq_service.corrosion_drive.guard import CHECK_EVERY_S, DriveGuard
 from daq_service.corrosion_drive.remote import RemoteDrive
-from daq_service.corrosion_drive.supply_state import read_supply_status
+from daq_service.corrosion_drive.supply_state import address_of, read_supply_status
 from daq_service.errors import RigError, StorageError
 from daq_service.processes.data_folder import (
     DRIVE_FILE,
@@ -426,6 +427,21 @@ def test_the_supply_of_a_mixed_rig_is_switched_off_after_a_kill(test: Test) -> N
         test.is_switched_off_unwatched()
 
 
+def test_a_recorder_that_its_supervisor_starts_again_goes_on(test: Test) -> None:
+    with started(test, "run", test.settings(sets=600)) as process:
+        drive, recorder = test.drive(), recorder_of(test)
+        os.kill(recorder, signal.SIGKILL)
+        until(lambda: recorder_of(test) != recorder, "another recorder")
+        before = test.charge_coulomb()
+        until(lambda: test.charge_coulomb() > before, "a set with its charge")
+        assert test.drive() == drive
+        assert test.switchings() == [True]
+        process.send_signal(signal.SIGINT)
+        ended(process, "Ctrl-C")
+    assert process.returncode == 130
+    assert test.switchings() == [True, False], "off at the end"
+
+
 def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test: Test) -> None:
     prepare_data_folder(test.folder)
     config = write_configuration(test.settings(), test.folder)
@@ -478,6 +494,65 @@ def alarm(test: Test, kind: str) -> str:
     return until(lambda: test.alarms().get(kind), kind).message
 
 
+@pytest.mark.parametrize("off", ["command", pytest.param("brown-out", marks=pytest.mark.slow)])
+def test_an_output_that_comes_on_by_itself_is_switched_off(test: Test, off: str) -> None:
+    with energised(test):
+        if off == "command":
+            test.order("supply_off")
+            until(lambda: test.answers() == ["done", "done"], "the answer")
+        else:
+            test.instruments.brown_out()
+            alarm(test, "supply_off_unexpectedly")
+        test.instruments.supply_link.do(lambda: test.instruments.supply.press_output_key(True))
+        assert "solimon supply --on" in alarm(test, "supply_on_unexpectedly")
+        assert not test.instruments.supply.on
+
+
+def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(test: Test) -> None:
+    supply, link = test.instruments.supply, test.instruments.supply_link
+    switch = supply._switch
+
+    def switch_and_fall_silent(on: bool, cause: str) -> None:
+        switch(on, cause)
+        if on:
+            link._set_faults(replace(link._faults, silent=True))
+
+    supply._switch = switch_and_fall_silent  # type: ignore[method-assign]
+    with test.recording(test.settings(line=line_of(test.instruments, reply_timeout_s=0.2))):
+        until(test.has_started, "the recorder")
+        test.order("supply_on")
+        until(lambda: test.answers() == ["refused"], "the answer")
+        assert supply.on
+        assert "output may be ON" in alarm(test, "supply_switch_off_pending")
+        link.clear_faults()
+        until(lambda: not supply.on, "the switch-off")
+        until(lambda: test.alarms()["supply_switch_off_pending"].state != "unacknowledged", "its return")
+
+
+def test_before_a_successor_with_another_port_it_switches_off(test: Test) -> None:
+    test.run_switched_on(test.settings(off_at_end=False))
+    assert test.instruments.supply.on
+    line = {"port": "/dev/solimon-absent"}
+    with test.recording(test.settings(off_at_end=False, unwatched_s=3.0, line=line)):
+        until(lambda: not test.instruments.supply.on, "the old process switches off")
+    until(test.drive_has_left, "nothing is left to supervise")
+    assert test.switchings() == [True, False]
+
+
+@pytest.mark.slow
+def test_without_a_successor_that_reads_the_supply_it_switches_off(test: Test) -> None:
+    """A successor without rights, or one that crashes before its first reading."""
+    test.run_switched_on(test.settings(off_at_end=False, unwatched_s=600.0))
+    address = address_of(test.folder)
+    connection = connect(address.port, bytes.fromhex(address.key))
+    port = test.settings().rig.supply.line.port
+    connection.send({"id": 1, "do": "hand over", "why": "a test", "supply_port": port})
+    until(lambda: is_owned(test.folder, DRIVE_LOCK) is False, "port and lock are released")
+    assert test.instruments.supply.on
+    until(lambda: not test.instruments.supply.on, "no successor has read")
+    connection.close()
+
+
 def test_a_disk_that_hangs_does_not_delay_the_interlock(test: Test) -> None:
     with energised(test):
         os.mkfifo(test.folder / "drive.new")  # nothing reads it: each write of the state hangs
@@ -485,6 +560,38 @@ def test_a_disk_that_hangs_does_not_delay_the_interlock(test: Test) -> None:
         test.instruments.supply_link.do(lambda: setattr(test.instruments.supply, "cell", short))
         until(lambda: not test.instruments.supply.on, "the interlock")
         assert "consecutive readings" in alarm(test, "interlock_tripped")
+
+
+def test_a_supply_process_that_stalls_at_the_end_is_replaced_and_switches_off(test: Test) -> None:
+    with energised(test):
+        stopped = test.drive()
+        os.kill(stopped, signal.SIGSTOP)
+    until(lambda: not test.instruments.supply.on, "another process switches off")
+    assert test.switchings() == [True, False]
+
+
+@pytest.mark.slow
+def test_a_supply_process_that_stalls_is_replaced_and_commands_cost_no_set(test: Test) -> None:
+    line = line_of(test.instruments, reply_timeout_s=0.1)
+    with energised(test, line=line, read_timeout_s=1.0):
+        stopped = test.drive()
+        os.kill(stopped, signal.SIGSTOP)
+        test.order("supply_off")
+        until(lambda: test.drive() != stopped, "another process")
+        until(lambda: not test.instruments.supply.on, "the switch-off")
+        with open_catalogue(test.folder) as catalogue:
+            assert {row.state for row in catalogue.rows(SetRow)} == {"done"}
+
+
+def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test: Test) -> None:
+    supply, link = test.instruments.supply, test.instruments.supply_link
+    with energised(test, deviation_after_s=0.5):
+        link.do(lambda: setattr(supply, "cell", Cell(resistance_ohm=1e9)))
+        assert "10 V set" in alarm(test, "supply_deviation")
+        assert supply.on
+        link.do(lambda: supply._set.update(VOLT=25.0))
+        assert "25 V is above the cap of 12 V" in alarm(test, "supply_above_cap")
+        assert not supply.on
 
 
 def test_a_test_without_a_supply_has_no_supply_process(tmp_path: Path) -> None:

@@ -15,6 +15,10 @@ from support.refusing_files import build, needs_a_preload, refusing
 from support.small_experiment import SMALL, rows_of, run, small_settings
 from support.waiting import until
 
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.errors import NoDataYetError
+from daq_service.catalogue.rows import SetRow
+
 pytestmark = needs_a_preload
 
 SHORT = {**SMALL["schedule"], "end_h": 3.0}
@@ -110,3 +114,50 @@ def test_recorder_supervisor_and_web_survive_held_files(library, undisturbed, tm
             "web.log",
         } <= files
         assert any(name.startswith("set_") for name in files)
+
+
+def n_sets(data: Path) -> int:
+    try:
+        with open_catalogue(data) as catalogue:
+            return len({row.set_index for row in catalogue.rows(SetRow)})
+    except NoDataYetError:
+        return 0
+
+
+@pytest.mark.parametrize(
+    ("part", "number", "words"),
+    [
+        pytest.param("journal", errno.ENOSPC, "No space left on device", marks=pytest.mark.slow),
+        pytest.param("journal", errno.EIO, "Input/output error", marks=pytest.mark.slow),
+        pytest.param("sets", errno.ENOSPC, "No space left on device", marks=pytest.mark.slow),
+        pytest.param("catalogue.sqlite", errno.ENOSPC, "database or disk is full", marks=pytest.mark.slow),
+        pytest.param("catalogue.sqlite", errno.EIO, "disk I/O error", marks=pytest.mark.slow),
+    ],
+)
+def test_a_disk_that_takes_nothing_is_waited_for(library, undisturbed, tmp_path, part, number, words):
+    """From set 2 on every write to journal, sets or catalogue is refused until the fault ends."""
+    data, log, broken = tmp_path / "data", tmp_path / "refused", tmp_path / "broken"
+    environment = refusing(
+        library, data / part, calls="write", errno=number, when="file", log=log, while_there=broken
+    )
+    environment["SOLIMON_CLOCK__PACE_H_PER_S"] = "1.0"
+    command = [sys.executable, "-m", "daq_service.cli", "record", written(tmp_path), "--data-dir", data]
+    recorder_log = data / "logs" / "recorder.log"
+    with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
+        try:
+            until(lambda: n_sets(data) >= 2 or process.poll(), "the second set")
+            broken.touch()
+            message = "stays in the journal" if part == "sets" else "not stored"
+            until(lambda: message in recorder_log.read_text() or process.poll(), "the trouble")
+            broken.unlink()
+            _, errors = process.communicate(timeout=120.0)
+        finally:
+            process.kill()
+    assert process.returncode == 0, errors
+    assert words in recorder_log.read_text()
+    assert len(list(data.glob("sets/*.h5"))) == len({row.set_index for row in undisturbed["sets"]})
+    assert list(data.glob("journal/*")) == []
+    stored = rows_of(data)
+    alarms = stored.pop("alarms")
+    assert stored == {name: rows for name, rows in undisturbed.items() if name != "alarms"}
+    assert [(row.kind, row.state) for row in alarms] == [("write_failed", "returned_unacknowledged")]

@@ -209,7 +209,7 @@ HEAVY |= {"fastapi", "pydantic", "sqlalchemy", "uvicorn", "nidaqmx", "serial"}
         (["repair", "--help"], {"groups.data"}),
         (["status", "--data-dir", "nowhere"], {"groups.monitor", "status", "status.command", "terminal"}),
     ],
-    ids=" ".join,
+    ids=("help", "repair", "status"),
 )
 def test_a_command_imports_no_module_of_another(arguments: list[str], own: set[str], tmp_path: Path) -> None:
     done = subprocess.run(
