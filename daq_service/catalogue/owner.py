@@ -34,7 +34,7 @@ def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
             return  # no test yet
         lines = _other_versions(connection, settings)
     refuse_other_experiment(
-        ExperimentRow(**current_row("experiment", dict(found._mapping))), path.parent, settings, lines
+        ExperimentRow(**current_row("experiment", found._asdict())), path.parent, settings, lines
     )
 
 
