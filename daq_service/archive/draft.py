@@ -131,7 +131,7 @@ class _Structure:
 def _skeleton(structure: _Structure) -> bytes:
     """Return the bytes of a file without values."""
     with nexus.image_file() as file:
-        made: dict[str, Any] = {"": nexus.open_root(file)}
+        made: dict[str, h5g.GroupID | h5d.DatasetID] = {"": nexus.open_root(file)}
         nexus.set_attributes(made[""], structure.draft[0].attributes)
         for node in structure.draft[1:]:
             parent, _, name = node.path.rpartition("/")

@@ -22,7 +22,7 @@ from daq_service.catalogue.tables import KINDS, ROW_CRC32, table_of
 
 R = TypeVar("R", bound=Row)
 
-_AS_READ: Mapping[Any, Callable[[Any], Any]] = {
+_AS_READ: Mapping[object, Callable[[Any], Any]] = {
     # SQLite does not store negative zero, and returns an integer in a REAL column as a float.
     float: lambda value: float(value) + 0.0,
     int: int,
