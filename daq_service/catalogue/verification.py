@@ -14,6 +14,7 @@ from sqlalchemy import NullPool, create_engine
 
 from daq_service.catalogue.connection import BUSY_TIMEOUT_S, FILE_NAME
 from daq_service.catalogue.corruption import UNREADABLE, CatalogueCorruption, corruption_in
+from daq_service.catalogue.earlier_names import EVENT_KINDS, TOPICS, current_row
 from daq_service.catalogue.errors import (
     CatalogueDamagedError,
     CatalogueError,
@@ -25,6 +26,8 @@ from daq_service.catalogue.rollups import trend_differences
 from daq_service.catalogue.rows import EventRow
 from daq_service.catalogue.tables import metadata, trend_blocks
 from daq_service.shared_file import remove_quietly
+
+_EARLIER_TABLES = {name: earlier for earlier, name in TOPICS.items()}
 
 
 class UnchangedCatalogue:
@@ -153,10 +156,13 @@ class UnchangedCatalogue:
 
     def n_rows(self) -> int:
         """Count the rows of all tables."""
-        tables = self._values(
+        return sum(self._values(f'SELECT count(*) FROM "{table}"')[0] for table in self._tables())
+
+    def _tables(self) -> list[str]:
+        """Return the names of the tables."""
+        return self._values(
             "SELECT name FROM sqlite_master WHERE type = 'table' AND name NOT LIKE 'sqlite_%'"
         )
-        return sum(self._values(f'SELECT count(*) FROM "{table}"')[0] for table in tables)
 
     def experiment(self) -> dict[str, Any] | None:
         """Return the row of the experiment; None if it has not started."""
@@ -168,9 +174,10 @@ class UnchangedCatalogue:
 
     def has_event(self, event: EventRow) -> bool:
         """Return whether an event of the history exists; True if the table is unreadable."""
-        statement = "SELECT id FROM events WHERE id = ? AND kind = ? AND wall_utc_ns = ?"
+        statement = "SELECT kind FROM events WHERE id = ? AND wall_utc_ns = ?"
         try:
-            return bool(self._query(statement, event.id, event.kind, event.wall_utc_ns))
+            rows = self._query(statement, event.id, event.wall_utc_ns)
+            return any(EVENT_KINDS.get(row["kind"], row["kind"]) == event.kind for row in rows)
         except CatalogueDamagedError:
             return True
 
@@ -198,7 +205,8 @@ class UnchangedCatalogue:
 
     def _rows(self, table: str, where: str, *values: Any) -> list[dict[str, Any]]:
         """Return rows by current column names; an earlier revision lacks some."""
-        rows = self._query(f"SELECT * FROM {table} {where}", *values)
+        name = table if table in self._tables() else _EARLIER_TABLES.get(table, table)
+        rows = [current_row(table, row) for row in self._query(f"SELECT * FROM {name} {where}", *values)]
         if rows and (unknown := rows[0].keys() - set(metadata.tables[table].columns.keys())):
             message = f"{self._path}: {table} has columns that no version has: {', '.join(sorted(unknown))}"
             raise CatalogueDamagedError(message)

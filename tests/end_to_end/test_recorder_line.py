@@ -62,9 +62,9 @@ def test_the_forecast_is_the_folder_s_size(finished: Path) -> None:
     assert SETS * built_set_bytes(settings) == pytest.approx(files, rel=0.05)
     # A record's pretrigger samples may take a cell more.
     assert tile_bytes(settings, SETS) == pytest.approx(n_bytes(finished), rel=0.01)
-    # The empty tables, 0.3 MB, weigh more next to ten records per set than in a test of months.
+    # Empty tables, 0.3 MB, and the newest states of the assessors, 0.4 MB, do not grow with the test.
     catalogue = (finished / FILE_NAME).stat().st_size
-    assert pytest.approx(catalogue, abs=0.4e6) == CATALOGUE_BYTES_A_RECORD * SETS * 10
+    assert pytest.approx(catalogue, abs=0.8e6) == CATALOGUE_BYTES_A_RECORD * SETS * 10
 
 
 def test_every_planned_set_has_its_row_file_and_features(finished: Path) -> None:

@@ -37,7 +37,6 @@ from support.traced_files import (
 
 from daq_service.archive import FolderSetReader
 from daq_service.archive.journal.reader import read_journal
-from hardware_drivers.measurement import PLANNED_SETS
 
 pytestmark = needs_a_preload
 
@@ -95,7 +94,7 @@ def test_the_traced_calls_reproduce_the_folder(trace_of):
     assert any(call.kind == "u" and call.path.startswith("journal/") for call in calls), "segments go"
     files = [call.content for call in calls if call.kind == "r" and call.content.endswith(b".h5")]
     assert len(files) == SETS + 1, "files come, the last one of a set beside the plan"
-    assert f"set_{PLANNED_SETS + SETS - 1}" in files[-1].decode()
+    assert files[-1].endswith(b"_001.h5")
     struck = 3 * SETS * SHOTS_PER_SET + SETS + SHOTS_PER_SET
     assert len(set(disk.marks)) == struck
 

@@ -305,7 +305,7 @@ class FilledFolder:
         row = AlarmRow(
             position=position,
             kind=kind,
-            alarm_class="damage" if position else "device",
+            alarm_class="damage" if position else "diagnostic",
             priority=priority,
             state=state,
             raised_utc_ns=due.due_utc_ns,

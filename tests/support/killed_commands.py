@@ -113,7 +113,7 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
         alarms=ledger.alarms,
         annotations=lambda: catalogue.rows(AnnotationRow),
         store=ledger.commit,
-        reinstated=ledger.reinstated,
+        reinstated=ledger.assessors.reinstate,
         confirmation=confirmation,
         settings=WAVES_ONLY,
         next_set=lambda: 1,

@@ -90,7 +90,7 @@ const KINDS = {
   },
   few_valid_shots: SHOTS,
   transducer_disabled: SHOTS,
-  hole: SHOTS,
+  no_reflection: SHOTS,
 };
 KINDS.transducer_change = KINDS.wall_change;
 

@@ -292,7 +292,7 @@ def grown(evidence, values):
 
 
 @pytest.fixture(scope="module")
-def describe_evidence(faulty):
+def evidence(faulty):
     return read_evidence(faulty)
 
 

@@ -77,7 +77,7 @@ class Bench:
             alarms=self.ledger.alarms,
             annotations=lambda: self.catalogue.rows(AnnotationRow),
             store=self.ledger.commit,
-            reinstated=self.ledger.reinstated,
+            reinstated=self.ledger.assessors.reinstate,
             confirmation=self.confirmation,
             settings=Settings(),
             next_set=lambda: self.next_set,

@@ -92,7 +92,7 @@ def test_three_restarts_in_ten_minutes_raise_one_alarm_until_a_stored_set(bench:
     bench.run(0.3, restarts_every_h=LOOK_EVERY_H)
     assert bench.alarms() == [("alarm_raised", RESTARTS)]
     (row,) = bench.catalogue.rows(AlarmRow)
-    assert (row.kind, row.alarm_class, row.priority) == ("recorder_not_running", "device", "high")
+    assert (row.kind, row.alarm_class, row.priority) == ("recorder_not_running", "diagnostic", "high")
     assert row.message.startswith("Recorder not running, sets are missed. 3 restarts in 10 min (hour 0.2). ")
     assert row.message.endswith("Read `logs/`, then run `solimon run`.")
     bench.store()

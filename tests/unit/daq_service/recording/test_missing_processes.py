@@ -118,7 +118,7 @@ def test_the_recorder_raises_and_clears_the_alarm_of_the_web_service(tmp_path: P
     assert events(line) == [(kind, "alarm_raised"), (kind, "alarm_cleared")]
     with line.catalogue() as catalogue:
         (row,) = catalogue.rows(AlarmRow, kind=kind)
-    assert (row.priority, row.alarm_class) == ("medium", "device")
+    assert (row.priority, row.alarm_class) == ("medium", "diagnostic")
     assert row.message.startswith("Dashboard not responding. No heartbeat (hour ")
     assert row.message.endswith("Read `logs/`, then restart `solimon serve`.")
 

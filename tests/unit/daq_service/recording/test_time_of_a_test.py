@@ -182,7 +182,7 @@ def test_a_boot_in_2010_waits_for_a_set_clock_and_loses_nothing(laboratory):
     (alarm,) = laboratory.line.alarms()
     assert (alarm.kind, alarm.alarm_class, alarm.state) == (
         "clock_unverified",
-        "device",
+        "diagnostic",
         "returned_unacknowledged",
     )
     assert "is before what was stored last (2024-01-01T0" in alarm.message

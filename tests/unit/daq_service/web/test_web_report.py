@@ -141,7 +141,7 @@ def test_the_tables_have_the_numbers_of_the_client(filled, page):
         newest = test.assessments("B").iloc[-1]
         info = test.info()
     assert now["B"][2:5] == [
-        f"D² {significant(newest['distance_squared'])}; chart {significant(newest['chart'])}",
+        f"D² {significant(newest['distance_squared'])}; chart {significant(newest['mewma_statistic'])}",
         f"{significant(newest['limit_f_predictive'])}; chart {significant(LIMIT_CHART)}",
         newest["quality"],
     ]
