@@ -118,7 +118,7 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
         settings=WAVES_ONLY,
         next_set=lambda: 1,
         baseline=catalogue.baseline,
-        renewed=ledger.renewed,
+        renewed=ledger.assessors.renew,
         positions=tuple(WAVES_ONLY.positions),
     )
     history = HistoryFollower(folder, catalogue)

@@ -82,7 +82,7 @@ class Bench:
             settings=Settings(),
             next_set=lambda: self.next_set,
             baseline=self.catalogue.baseline,
-            renewed=self.ledger.renewed,
+            renewed=self.ledger.assessors.renew,
             positions=("B", "C", "D"),
             supply=self.switch,
         )
