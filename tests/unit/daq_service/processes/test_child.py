@@ -74,7 +74,17 @@ def test_a_log_that_cannot_be_made_is_a_warning(tmp_path, capsys, monkeypatch):
     assert (tmp_path / "logs").read_text() == "foreign"
 
 
+@pytest.fixture
+def usual_signals():
+    """Handle each signal as in a terminal: the runner itself may have been started by `nohup`."""
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in (signal.SIGHUP, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
 @pytest.mark.skipif(sys.platform == "win32", reason="no terminal hangs up there")
+@pytest.mark.usefixtures("usual_signals")
 def test_a_closed_terminal_is_an_orderly_stop():
     with stop_on_signals() as stop:
         assert not stop.is_set()
@@ -83,6 +93,7 @@ def test_a_closed_terminal_is_an_orderly_stop():
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="no program is started so there")
+@pytest.mark.usefixtures("usual_signals")
 @pytest.mark.parametrize("name", ["SIGHUP", "SIGINT", "SIGTERM"])
 def test_a_stop_signal_that_is_ignored_at_the_start_stays_ignored(name):
     """`nohup solimon run` outlives its terminal; background jobs of a script get no Ctrl-C."""
