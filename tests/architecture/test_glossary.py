@@ -18,8 +18,9 @@ def test_each_term_is_defined_once_in_one_sentence():
     assert [row[0] for row in ROWS if not re.fullmatch(r"[A-Z][^.]*\.", row[1])] == []
 
 
-def test_the_keys_of_today_are_keys_of_the_code():
+def test_the_keys_are_keys_of_the_code():
     files = [path for name in ("daq_service", "analysis") for path in (ROOT / name).rglob("*.py")]
+    files = [path for path in files if path.name != "earlier_names.py" and "migrations" not in path.parts]
     code = "\n".join(path.read_text(encoding="utf-8") for path in files)
     keys = {key.rpartition(".")[0] or key for row in ROWS for key in re.findall(r"`([^`]+)`", row[-1])}
     assert len(keys) > 20
