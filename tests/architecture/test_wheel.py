@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+TEMPLATES = sorted((ROOT / "daq_service/web/templates").glob("*.*"))
 
 
 @pytest.fixture(scope="module")
@@ -32,7 +33,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: Path) -> None:
+def test_the_wheel_holds_configuration_dashboard_templates_migrations_and_licence(wheel: Path) -> None:
     archive = zipfile.ZipFile(wheel)
     names = archive.namelist()
     for wanted in (
@@ -41,6 +42,7 @@ def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: P
         "daq_service/config/laboratory.toml",
         "daq_service/config/settings.schema.json",
         "daq_service/web/dashboard/index.html",
+        *(f"daq_service/web/templates/{path.name}" for path in TEMPLATES),
         "daq_service/web/dashboard/vendor/uplot/LICENSE",
         "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
         "hardware_drivers/conformance/test_instrument.py",

@@ -8,7 +8,7 @@ processes; `daq_service.cli.reproduce.run` brings them together.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -76,6 +76,10 @@ class Table:
         lengths = {name: len(values) for name, values in self.columns.items()}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"columns of a table differ in length: {lengths}")
+
+    def rows(self) -> Iterator[tuple[Any, ...]]:
+        """Yield the rows."""
+        return zip(*self.columns.values(), strict=True)
 
 
 def stacked(test: Evidence, columns: Callable[[SolitaryWaves], Mapping[str, FloatArray]]) -> Table:

@@ -215,8 +215,8 @@ def _make(
         pictures = {} if product.drawing is None else rendered(product.drawing)
     run.sections.append(_written(run, item, product, pictures, origin=_origin(test)))
     if item.name == SLIPS:
-        columns = product.tables[""].columns
-        run.slips = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        table = product.tables[""]
+        run.slips = [dict(zip(table.columns, row, strict=True)) for row in table.rows()]
     report(f"{item.name}: done ({time.monotonic() - run.started_s:.0f} s)")
 
 
