@@ -130,7 +130,7 @@ def test_every_figure_has_png_svg_and_csv_and_stands_in_the_report(whole):
         for name in files:
             assert (out / name).stat().st_size > 0
             assert f'href="{name}"' in report
-        assert item.title in report
+        assert item.caption.title in report
     assert report.count("data:image/png;base64,") == 12
     assert not re.search(r"(src|href)=.(http|/)", report), "it opens from disk, by itself"
 
