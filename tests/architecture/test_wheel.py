@@ -38,6 +38,7 @@ def test_the_wheel_holds_configuration_dashboard_templates_migrations_and_licenc
     names = archive.namelist()
     for wanted in (
         "daq_service/cli/groups/commands.toml",
+        "daq_service/cli/maintenance/acceptance/texts.toml",
         "daq_service/cli/reproduce/paper_values.csv",
         "daq_service/cli/reproduce/texts.toml",
         "daq_service/config/simulated.toml",

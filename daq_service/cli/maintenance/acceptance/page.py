@@ -37,7 +37,9 @@ def page(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> bytes:
 def _number_columns(table: Table) -> list[str]:
     """Return the names of the columns of numbers."""
     first = table.rows[0] if table.rows else ()
-    return [name for name, value in zip(table.columns, first, strict=False) if isinstance(value, int | float)]
+    return [
+        name for name, value in zip(table.text.columns, first, strict=False) if isinstance(value, int | float)
+    ]
 
 
 def shown(unit: str, *values: float | int | None) -> str:

@@ -22,7 +22,6 @@ from daq_service.cli.maintenance.acceptance.conduct import growth_quantities
 from daq_service.cli.maintenance.acceptance.contents import as_json, build_report
 from daq_service.cli.maintenance.acceptance.criteria import (
     DEFAULTS,
-    Criterion,
     compared,
     outcome,
     with_limits,
@@ -30,6 +29,7 @@ from daq_service.cli.maintenance.acceptance.criteria import (
 from daq_service.cli.maintenance.acceptance.evidence import read_evidence
 from daq_service.cli.maintenance.acceptance.page import shown
 from daq_service.cli.maintenance.acceptance.quantity import FEWEST_READINGS, Quantity, growth, quantile
+from daq_service.cli.maintenance.acceptance.texts import Criterion
 from daq_service.clock import SimulatedClock
 from daq_service.errors import UsageError
 from daq_service.processes.disk_policy import DiskSpace
@@ -284,7 +284,7 @@ def readings(values, *, recorder=1, first=0):
 
 def memory(evidence, machine):
     """Return the maximum memory and its growth."""
-    return list(growth_quantities(replace(evidence, machine=machine), "resident_bytes", "memory", "B"))
+    return list(growth_quantities(replace(evidence, machine=machine), "resident_bytes"))
 
 
 def grown(evidence, values):
