@@ -6,11 +6,11 @@ import importlib
 import platform
 import re
 import sys
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import PackageNotFoundError, requires
 from importlib.metadata import version as installed_version
 
-from daq_service.cli.doctor.check import Check, State
+from daq_service.cli.doctor.check import Check, State, Value
 
 OLDEST_PYTHON = (3, 11)
 ALWAYS = ("numpy", "scipy", "h5py", "numba", "pydantic", "sqlalchemy", "fastapi")
@@ -53,7 +53,7 @@ def _python() -> Check:
     bits = 64 if sys.maxsize > 2**32 else 32
     fits = sys.version_info[:2] >= OLDEST_PYTHON and bits == 64
     version, system = platform.python_version(), platform.platform()
-    values = {"version": version, "bits": bits, "platform": system}
+    values: Mapping[str, Value] = {"version": version, "bits": bits, "platform": system}
     remedy = f"install Python {'.'.join(map(str, OLDEST_PYTHON))} or later, 64 bit"
     found = f"{version}, {bits} bit, {system}"
     return Check("software", "python", "ok" if fits else "fail", found, remedy, values)

@@ -32,14 +32,14 @@ def send(*, kind: str, note: str, **given: object) -> int:
 
 
 def switch_supply(
-    *, on: bool | None, voltage_v: float | None, current_limit_a: float | None, **given: object
+    *, on: bool | None, voltage_v: float | None, current_limit_a: float | None, note: str, **given: object
 ) -> int:
     """Send ``supply_on`` with its values, or ``supply_off``."""
     if on is None:
         raise click.UsageError("give --on or --off")
     values = {"voltage_v": voltage_v, "current_limit_a": current_limit_a}
     if on:
-        return send(kind="supply_on", **values, **given)
+        return send(kind="supply_on", note=note, **given | values)
     if any(value is not None for value in values.values()):
         raise click.UsageError("--voltage-v and --current-limit-a belong to --on")
-    return send(kind="supply_off", **given)
+    return send(kind="supply_off", note=note, **given)

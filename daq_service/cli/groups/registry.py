@@ -31,14 +31,14 @@ SECTIONS: Mapping[str, Mapping[str, str]] = {
 class _Positive(click.FloatRange):
     """Positive finite number: a range alone accepts infinity and NaN."""
 
-    def convert(self, value: object, param: click.Parameter | None, ctx: click.Context | None) -> float:
+    def convert(self, value: float, param: click.Parameter | None, ctx: click.Context | None) -> float:
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no finite number.", param, ctx)
         return number
 
 
-_TYPES: Mapping[str, click.ParamType] = {
+_TYPES: Mapping[str, click.ParamType[Any]] = {
     "path": click.Path(path_type=Path),
     "existing": click.Path(exists=True, path_type=Path),
     "file": click.Path(dir_okay=False, path_type=Path),
@@ -95,12 +95,12 @@ def _parameter(
     argument: str = "",
     type: str = "",  # noqa: A002 - a key of the file
     choices: Sequence[str] = (),
-    range: Sequence[float] = (),  # noqa: A002 - a key of the file
+    range: Table | None = None,  # noqa: A002 - a key of the file
     **attributes: Any,
 ) -> click.Parameter:
     kind = click.Choice(choices) if choices else _TYPES.get(type)
-    if range:
-        kind = (click.IntRange if isinstance(range[0], int) else click.FloatRange)(*range)
+    if range is not None:
+        kind = (click.IntRange if isinstance(range["min"], int) else click.FloatRange)(**range)
     if argument:
         return click.Argument([argument], type=kind, **attributes)
     if "/" in option:  # neither of the two spellings means none of them
