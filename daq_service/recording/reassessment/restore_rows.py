@@ -34,6 +34,7 @@ from daq_service.assessment.restore_state import first_waveform, is_assessed
 from daq_service.assessment.results_in_file import find_differences, results_of
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
@@ -60,18 +61,8 @@ from hardware_drivers.measurement import Shot, in_order, purpose_of
 R = TypeVar("R", bound=Row)
 FeaturesOf = Callable[[Shot], ShotFeatures]
 
-_STORED_ROWS: Mapping[str, type[Row]] = {
-    "set_done": SetRow,
-    "set_partial": SetRow,
-    "set_missed": SetRow,
-    "set_disabled": SetRow,
-    "set_features": FeatureRow,
-    "thickness_read": ThicknessRow,
-    "baseline_frozen": BaselineRow,
-    "set_assessed": AssessmentRow,
-    "environment_read": EnvironmentRow,
-}
-"""Kinds of events that hold a complete row."""
+_STORED_ROWS: Mapping[str, type[Row]] = {**ROW_OF_EVENT, "baseline_frozen": BaselineRow}
+"""Kinds of events that report a complete row."""
 _RESTORED_ROWS = ("sets", "shots", "features", "thickness", "baselines", "assessments", "environment")
 _SETS_OF_A_COMMIT = 64
 """Restored sets are stored together: a commit costs more than the rows of a set."""
