@@ -211,7 +211,7 @@ def test_a_restart_reads_the_stored_states_and_no_sets(line, monkeypatch):
     other = memory_settings(alarms={"k": 1})
     with line.catalogue(writer=True) as catalogue, pytest.raises(AssertionError, match="computed again"):
         SetAssessor(other, MemoryArchive(line.shelf), catalogue, None, Cost())
-    monkeypatch.setattr("daq_service.assessment.stored_state.STATE_FORMAT", 0)
+    monkeypatch.setattr("daq_service.assessment.restore_state.STATE_FORMAT", 0)
     with pytest.raises(AssertionError, match="computed again"):
         restored_states(line)
 

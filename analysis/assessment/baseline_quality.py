@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
+from analysis.assessment.step import Rules, State
 from analysis.statistics.baseline import ADVISED_SETS
 from analysis.statistics.baseline_check import Anomaly, find_anomalies
-from daq_service.assessment.solitary_wave_step import Rules, State
 
 GOOD_SETS = 200
 """From this number on, the chart has its full sensitivity and slow drift is measurable."""
