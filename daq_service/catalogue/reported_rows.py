@@ -97,7 +97,7 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
     """
     reporting = [event for event in reports if isinstance(event, EventRow) and is_joined(event)]
     rows: list[Row] = []
-    for kind in {ROW_OF_EVENT[event.kind] for event in reporting}:
+    for kind in dict.fromkeys(ROW_OF_EVENT[event.kind] for event in reporting):
         of_kind = [event for event in reporting if ROW_OF_EVENT[event.kind] is kind]
         positions = sorted({event.position for event in of_kind if event.position is not None})
         indices = sorted({event.set_index for event in of_kind if event.set_index is not None})

@@ -50,7 +50,6 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     measured,
 )
-from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.reassessment.changes import comparable
 from daq_service.recording.reassessment.stored_runs import Progress, Run, repeat_action, row_of, runs_of
@@ -135,7 +134,7 @@ class _Restoration:
         self._archive, self._catalogue, self._history = archive, catalogue, history
         rehearsal = settings.rig.dry_run
         self._features_of = features_of_a_rehearsal if rehearsal else features_of
-        self._set_assessor = SetAssessor(settings, archive, catalogue, None, Cost(), rehearsal=rehearsal)
+        self._set_assessor = SetAssessor(settings, archive, catalogue, None, rehearsal=rehearsal)
         self._alarms: dict[int, AlarmRow] = {}
         self._late: list[EventRow] = []
         self._pending, self._n_pending = Transaction(), 0
