@@ -41,6 +41,8 @@ def test_the_wheel_holds_configuration_dashboard_templates_migrations_and_licenc
         "daq_service/cli/maintenance/acceptance/texts.toml",
         "daq_service/cli/reproduce/paper_values.csv",
         "daq_service/cli/reproduce/texts.toml",
+        "daq_service/cli/set_up/services/record.service",
+        "daq_service/cli/set_up/services/task.xml",
         "daq_service/config/simulated.toml",
         "daq_service/config/laboratory.toml",
         "daq_service/config/settings.schema.json",
