@@ -1,10 +1,15 @@
-"""Read the lines of a CSV file of a table or of waveforms."""
+"""Read the lines of a CSV file, or the numbers of a `.npy` file, of a table or of waveforms."""
 
 from __future__ import annotations
 
 import re
+from collections.abc import Container
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
@@ -47,3 +52,29 @@ def csv_lines(path: Path) -> tuple[list[str], list[str]]:
 def is_comment(line: str) -> bool:
     """Return whether a line starts with the comment sign of instruments and `numpy.savetxt`."""
     return line.lstrip().startswith("#")
+
+
+def numbers_of_npy(path: Path, form: str, *, dimensions: Container[int]) -> NDArray[Any]:
+    """Map the array of a `.npy` file.
+
+    Parameters
+    ----------
+    form
+        What rows and columns must be, for messages.
+
+    Raises
+    ------
+    NoTableError
+        It is no array of numbers with these dimensions.
+    OSError
+        It cannot be read.
+    """
+    try:
+        with np.errstate(over="ignore"):  # of a claimed shape; mapped, a claim takes no memory
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
+        raise NoTableError(f"{path} is no .npy file of numbers, {form}") from error
+    if isinstance(array, np.ndarray) and array.ndim in dimensions and array.dtype.kind in "fiu":
+        return array
+    contents = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+    raise NoTableError(f"{path}: {contents}; it must be numbers, {form}")

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import matplotlib as mpl
 from matplotlib.figure import Figure
 
 from daq_service.cli.maintenance.acceptance.page import SCALES
 from daq_service.cli.maintenance.acceptance.quantity import Series
-from daq_service.cli.reproduce.style import BLUE, GREY, ORANGE, VERMILLION, house_style, rendered
+from daq_service.cli.reproduce.style import BLUE, GREY, ORANGE, RULES, VERMILLION, rendered
 
 SIZE_IN = (4.7, 1.9)
 """Two of them side by side fill a sheet of paper."""
@@ -20,7 +21,7 @@ DASHED = ("forecast", "planned")
 def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
     """Return a series with values as PNG; ``gaps`` are shaded ranges of hours."""
     scale, unit = _scale(series)
-    with house_style():
+    with mpl.rc_context(RULES):
         figure = Figure(figsize=SIZE_IN, layout="constrained")
         axes = figure.subplots()
         for from_h, until_h in gaps:
