@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Container
 from itertools import takewhile
 from pathlib import Path
 from typing import Any
@@ -54,18 +53,20 @@ def is_comment(line: str) -> bool:
     return line.lstrip().startswith("#")
 
 
-def numbers_of_npy(path: Path, form: str, *, dimensions: Container[int]) -> NDArray[Any]:
+def numbers_of_npy(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
     """Map the array of a `.npy` file.
 
     Parameters
     ----------
     form
-        What rows and columns must be, for messages.
+        What rows and columns are, for messages.
+    one_row
+        It may be one row alone.
 
     Raises
     ------
     NoTableError
-        It is no array of numbers with these dimensions.
+        It is no such array of numbers.
     OSError
         It cannot be read.
     """
@@ -74,7 +75,12 @@ def numbers_of_npy(path: Path, form: str, *, dimensions: Container[int]) -> NDAr
             array = np.load(path, mmap_mode="r", allow_pickle=False)
     except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
         raise NoTableError(f"{path} is no .npy file of numbers, {form}") from error
-    if isinstance(array, np.ndarray) and array.ndim in dimensions and array.dtype.kind in "fiu":
+    if (
+        isinstance(array, np.ndarray)
+        and array.ndim in ((1, 2) if one_row else (2,))
+        and array.dtype.kind in "fiu"
+    ):
         return array
+    or_one = ", or one record" if one_row else ""
     contents = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
-    raise NoTableError(f"{path}: {contents}; it must be numbers, {form}")
+    raise NoTableError(f"{path}: {contents}; it must be numbers, {form}{or_one}")

@@ -17,7 +17,7 @@ from daq_service.cli.offline.csv_lines import COMMENTS, csv_lines, is_comment, n
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
-from hardware_drivers.measurement import Shot, Waveform
+from hardware_drivers.measurement import Shot
 from hardware_drivers.playback.parameters import TdmsMapping
 
 PAPER_RATE_HZ = 10e6
@@ -96,7 +96,7 @@ def open_records(path: Path, parameters: FileParameters) -> RecordFile:
 
 def _npy(path: Path, parameters: FileParameters) -> RecordFile:
     """Open a `.npy` file."""
-    array = numbers_of_npy(path, "records x samples, or one record", dimensions=(1, 2))
+    array = numbers_of_npy(path, "records x samples", one_row=True)
     table = np.atleast_2d(array)
     if not table.shape[1]:
         raise UsageError(f"{path} is empty: shape {array.shape}")
@@ -179,21 +179,19 @@ def _scaling(
 def _hdf5(path: Path, _: FileParameters) -> RecordFile:
     """Open a set's file."""
     shots = [one for one in read_records(path, read_shared(path)) if isinstance(one, Shot)]
-    return RecordFile(
-        n=len(shots),
-        records=lambda every: (_of_waveform(shot.waveform, shot.key.position) for shot in shots[::every]),
-    )
 
+    def records(every: int) -> Iterator[Record]:
+        for shot in shots[::every]:
+            waveform = shot.waveform
+            yield Record(
+                volts_v=waveform.volts(),
+                rate_hz=waveform.sample_rate_hz,
+                pretrigger_samples=waveform.pretrigger_samples,
+                clipped=waveform.clipped,
+                position=shot.key.position,
+            )
 
-def _of_waveform(waveform: Waveform, position: str) -> Record:
-    """Return the record of a waveform."""
-    return Record(
-        volts_v=waveform.volts(),
-        rate_hz=waveform.sample_rate_hz,
-        pretrigger_samples=waveform.pretrigger_samples,
-        clipped=waveform.clipped,
-        position=position,
-    )
+    return RecordFile(n=len(shots), records=records)
 
 
 def _tdms(path: Path, parameters: FileParameters) -> RecordFile:

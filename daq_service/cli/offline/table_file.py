@@ -309,7 +309,7 @@ def _of_parquet(path: Path) -> Columns:
 
 def _of_npy(path: Path) -> Columns:
     """Read the columns of a `.npy` file."""
-    array = numbers_of_npy(path, "rows x features", dimensions=(2,))
+    array = numbers_of_npy(path, "rows x features")
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 

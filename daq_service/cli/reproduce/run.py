@@ -13,15 +13,17 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TypeVar
 
 import click
 import matplotlib as mpl
 
-from daq_service.cli.reproduce.comparison import compare, not_made
+from daq_service.catalogue import check_owner
+from daq_service.cli.reproduce.comparison import compare
 from daq_service.cli.reproduce.evidence import Evidence, read_evidence
-from daq_service.cli.reproduce.experiment import BY_SETS, check_test_folder, run_test, twin_settings
+from daq_service.cli.reproduce.experiment import BY_SETS, run_test, twin_settings
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product
 from daq_service.cli.reproduce.items import chosen_items
 from daq_service.cli.reproduce.outcome import Outcome, Section, add_test, finish, print_result, versions
@@ -58,9 +60,7 @@ def reproduce(
     items = chosen_items(only)
     folder = (out or new_folder("reproduction")).absolute()
 
-    def report(text: str) -> None:
-        click.echo(text, err=True)
-
+    report = partial(click.echo, err=True)
     with stop_on_signals() as stop, ExitStack() as stack:
         executor = stack.enter_context(one_worker())
         try:
@@ -112,8 +112,8 @@ def reproduce_into(
     settings = twin_settings(seed) if needed and data_dir is None else None
     if data_dir is not None:
         read_evidence(data_dir.absolute(), with_traces=False)
-    elif settings is not None:
-        check_test_folder(settings, out / DATA_FOLDER)
+    elif settings is not None and (out / DATA_FOLDER).exists():
+        check_owner(settings, out / DATA_FOLDER)
     prepare_output(out)
     run = Outcome(out=out, started_s=time.monotonic(), facts=versions())
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="test") as tests:
@@ -194,7 +194,7 @@ def _make(
             product = item.make(Material(evidence=test, results=results))
         except NotAvailableError as error:
             report(f"{item.name}: not available: {error}")
-            rows = not_made(item.name, str(error))
+            rows = compare(item.name, {}, origin="shipped", missing_reason=str(error))
             run.sections.append(Section(item=item, trouble=str(error), rows=rows))
             return
         pictures = {} if product.drawing is None else rendered(product.drawing)
