@@ -96,7 +96,7 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
     """
     reporting = [event for event in reports if isinstance(event, EventRow) and is_joined(event)]
     rows: list[Row] = []
-    for kind in {ROW_OF_EVENT[event.kind] for event in reporting}:
+    for kind in dict.fromkeys(ROW_OF_EVENT[event.kind] for event in reporting):
         of_kind = [event for event in reporting if ROW_OF_EVENT[event.kind] is kind]
         positions = sorted({event.position for event in of_kind if event.position is not None})
         indices = sorted({event.set_index for event in of_kind if event.set_index is not None})
@@ -128,7 +128,6 @@ def _of_some_sets(kind: type[Row]) -> sa.Select[Any]:
 
 
 _OF_SOME_SETS = {kind: _of_some_sets(kind) for kind in ROW_OF_EVENT.values()}
-"""Built once: building one takes longer than executing it."""
 
 
 def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
