@@ -38,7 +38,7 @@ from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.archive.finalize_set import compact_set
 from daq_service.archive.records import set_reference
-from daq_service.assessment.diagnosis import diagnosis_details
+from daq_service.assessment.diagnosis_texts import diagnosis_details
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.experiment_file import HISTORY_FILE

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
-from functools import cache
 from types import MappingProxyType
 from typing import Any, TypeVar
 
@@ -97,13 +96,13 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
     """
     reporting = [event for event in reports if isinstance(event, EventRow) and is_joined(event)]
     rows: list[Row] = []
-    for kind in {ROW_OF_EVENT[event.kind] for event in reporting}:
+    for kind in dict.fromkeys(ROW_OF_EVENT[event.kind] for event in reporting):
         of_kind = [event for event in reporting if ROW_OF_EVENT[event.kind] is kind]
         positions = sorted({event.position for event in of_kind if event.position is not None})
         indices = sorted({event.set_index for event in of_kind if event.set_index is not None})
         for start in range(0, len(indices), _SETS_AT_ONCE):
             some = indices[start : start + _SETS_AT_ONCE]
-            statement = _of_some_sets(kind).params(positions=positions, indices=some)
+            statement = _OF_SOME_SETS[kind].params(positions=positions, indices=some)
             rows += checked_rows(connection, kind, statement)
     reports = joined(reports, rows) if reporting else reports
     for event in reports:
@@ -119,7 +118,6 @@ def of_sets(kind: type[Row]) -> sa.Select[Any]:
     return statement.where(table.c.shot_index.is_(None)) if kind is FeatureRow else statement
 
 
-@cache
 def _of_some_sets(kind: type[Row]) -> sa.Select[Any]:
     """Return the query for the rows of some positions and sets, which finds each in an index."""
     table = table_of(kind)
@@ -127,6 +125,9 @@ def _of_some_sets(kind: type[Row]) -> sa.Select[Any]:
     if "position" in table.c:
         return statement.where(table.c.position.in_(sa.bindparam("positions", expanding=True)))
     return statement
+
+
+_OF_SOME_SETS = {kind: _of_some_sets(kind) for kind in ROW_OF_EVENT.values()}
 
 
 def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
