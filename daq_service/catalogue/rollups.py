@@ -11,14 +11,15 @@ from __future__ import annotations
 import logging
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, bindparam, delete, func, insert, select
+from sqlalchemy import ColumnElement, Connection, bindparam, delete, func, insert, select
 
 from analysis.statistics.bins import bin_type, bins_of_sets, joined_bins
+from analysis.statistics.levels import FACTOR, level_widths, parts_of_range, sets_per_step
 from analysis.statistics.trend import PART, joined_part, parts_of_points
 from daq_service.catalogue.reader import Catalogue, Filters, Scope, filtered, in_plan, read_rows, set_at
 from daq_service.catalogue.row_checksum import DamagedRow, checked_values, storable
@@ -44,7 +45,6 @@ Kind = type[FeatureRow] | type[ThicknessRow]
 Pieces = tuple[NDArray[np.int64], NDArray[np.void]]
 """Index of the first set of each piece, in order, and its content."""
 
-FACTOR = 4
 ASSESSED_VALUES = ("distance_squared", "limit_f_predictive", "limit_mean_3sd", "mewma_statistic")
 QUALITIES: tuple[str, ...] = get_args(Quality)
 """From the best to the worst."""
@@ -80,12 +80,27 @@ class _Rollup:
     of_sets: Callable[[Connection, _PositionRange, int, int], Pieces]
     joined: Callable[[NDArray[np.void], NDArray[np.intp]], NDArray[np.void]]
 
-    def widths(self, end: int) -> Iterator[int]:
-        """Yield the sizes of blocks in sets."""
-        width = self.finest
-        while width <= end:
-            yield width
-            width *= FACTOR
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class _Blocks:
+    """Blocks of one width over a range of sets of a position."""
+
+    rollup: _Rollup
+    place: _PositionRange
+    width: int
+    first: int
+    end: int
+
+    def key(self, first: int) -> str:
+        """Return the key of the block that starts with a set."""
+        # Numbers of equal length: so keys sort in the order of the sets.
+        return f"{self.place.position}/{self.rollup.name}/{self.width:010d}/{first:010d}"
+
+    @property
+    def in_range(self) -> ColumnElement[bool]:
+        """Condition for the stored blocks."""
+        place = trend_blocks.c.place
+        return (place >= self.key(self.first)) & (place < self.key(self.end))
 
 
 def values_of(kind: Kind) -> tuple[str, ...]:
@@ -174,12 +189,6 @@ _NO_POINTS: np.void = np.zeros(1, PART)[0]
 # Blocks ----------------------------------------------------------------------------------------------
 
 
-def _key(rollup: _Rollup, place: _PositionRange, width: int, first: int) -> str:
-    # Numbers of equal length: so keys sort in the order of the sets.
-    """Return the key of a block."""
-    return f"{place.position}/{rollup.name}/{width:010d}/{first:010d}"
-
-
 def _joined(rollup: _Rollup, pieces: Pieces, width: int) -> Pieces:
     """Combine the pieces of the same ``width`` sets, counted from set 0."""
     index, content = pieces
@@ -190,52 +199,36 @@ def _joined(rollup: _Rollup, pieces: Pieces, width: int) -> Pieces:
     return blocks[starts] * width, rollup.joined(content, starts)
 
 
-def _in_range(rollup: _Rollup, place: _PositionRange, width: int, first: int, end: int) -> Any:
-    """Return the condition for the blocks of a range of sets."""
-    return (trend_blocks.c.place >= _key(rollup, place, width, first)) & (
-        trend_blocks.c.place < _key(rollup, place, width, end)
-    )
-
-
-def _stored_blocks(
-    connection: Connection, rollup: _Rollup, place: _PositionRange, width: int, first: int, end: int
-) -> list[tuple[str, bytes]]:
+def _stored_blocks(connection: Connection, blocks: _Blocks) -> list[tuple[str, bytes]]:
     """Read keys and contents of stored blocks."""
-    in_range = _in_range(rollup, place, width, first, end)
-    statement = select(trend_blocks).where(in_range).order_by(trend_blocks.c.place)
+    statement = select(trend_blocks).where(blocks.in_range).order_by(trend_blocks.c.place)
     return [(key, block) for key, block, _ in checked_values(connection, TrendBlockRow, statement)]
 
 
-def _stored(
-    connection: Connection, rollup: _Rollup, place: _PositionRange, width: int, first: int, end: int
-) -> Pieces:
-    """Read the stored blocks of a range as pieces."""
-    blocks = _stored_blocks(connection, rollup, place, width, first, end)
-    index = np.array([int(key.rpartition("/")[2]) for key, _ in blocks], dtype=np.int64)
-    return index, np.frombuffer(b"".join(block for _, block in blocks), rollup.type_of(place.kind))
+def _pieces(connection: Connection, blocks: _Blocks) -> Pieces:
+    """Read stored blocks as pieces; narrower than the finest block: each set."""
+    rollup, place = blocks.rollup, blocks.place
+    if blocks.width < rollup.finest:
+        return rollup.of_sets(connection, place, blocks.first, blocks.end)
+    stored = _stored_blocks(connection, blocks)
+    index = np.array([int(key.rpartition("/")[2]) for key, _ in stored], dtype=np.int64)
+    return index, np.frombuffer(b"".join(block for _, block in stored), rollup.type_of(place.kind))
 
 
-def _computed(
-    connection: Connection, rollup: _Rollup, place: _PositionRange, width: int, first: int, end: int
-) -> list[TrendBlockRow]:
-    """Compute the blocks of a width in a range from smaller ones; blocks without a set are omitted."""
-    if width == rollup.finest:
-        pieces = rollup.of_sets(connection, place, first, end)
-    else:
-        pieces = _stored(connection, rollup, place, width // FACTOR, first, end)
-    index, content = _joined(rollup, pieces, width)
+def _computed(connection: Connection, blocks: _Blocks) -> list[TrendBlockRow]:
+    """Compute blocks from smaller ones; blocks without a set are omitted."""
+    pieces = _pieces(connection, replace(blocks, width=blocks.width // FACTOR))
+    index, content = _joined(blocks.rollup, pieces, blocks.width)
     return [
-        TrendBlockRow(place=_key(rollup, place, width, int(start)), block=block.tobytes())
+        TrendBlockRow(place=blocks.key(int(start)), block=block.tobytes())
         for start, block in zip(index, content, strict=True)
     ]
 
 
-def _store(
-    connection: Connection, rollup: _Rollup, place: _PositionRange, width: int, first: int, end: int
-) -> None:
+def _store(connection: Connection, blocks: _Blocks) -> None:
     """Compute and store the blocks of a range."""
-    rows = _computed(connection, rollup, place, width, first, end)
-    connection.execute(delete(trend_blocks).where(_in_range(rollup, place, width, first, end)))
+    rows = _computed(connection, blocks)
+    connection.execute(delete(trend_blocks).where(blocks.in_range))
     if rows:
         connection.execute(insert(trend_blocks), [storable(row) for row in rows])
 
@@ -295,12 +288,13 @@ def update_trends(
             continue
         n_before = last_before.get(position, -1) + 1
         for rollup in _ROLLUPS:
-            for width in rollup.widths(place.end):
+            for width in level_widths(rollup.finest, place.end):
                 unfinished = {n_before // width} if n_before % width else set()
                 blocks = sorted({index // width for index in indices} | unfinished)
                 for first, end in _runs([block for block in blocks if (block + 1) * width <= place.end]):
+                    span = {"first": first * width, "end": end * width}
                     try:
-                        _store(connection, rollup, place, width, first * width, end * width)
+                        _store(connection, _Blocks(rollup=rollup, place=place, width=width, **span))
                     except DamagedRow as error:
                         log.warning("trends of %s are not brought up to date: %s", position, error)
 
@@ -316,31 +310,32 @@ def _runs(numbers: Iterable[int]) -> Iterator[tuple[int, int]]:
         yield first, end
 
 
-def _all_ranges(connection: Connection) -> Iterator[tuple[_Rollup, _PositionRange, int, int, int]]:
-    """Yield all ranges of blocks, smaller blocks first."""
+def _all_blocks(connection: Connection) -> Iterator[_Blocks]:
+    """Yield the blocks of all ranges, smaller blocks first."""
     for position in connection.execute(select(sets.c.position).distinct()).scalars().all():
         place = _position_range_of(connection, position)
         assert place is not None
         for rollup in _ROLLUPS:
-            for width in rollup.widths(place.end):
-                complete, step = place.end // width * width, _BLOCKS_AT_ONCE * rollup.finest
-                for first in range(0, complete, max(step, width)):
-                    yield rollup, place, width, first, min(first + max(step, width), complete)
+            for width in level_widths(rollup.finest, place.end):
+                complete, step = place.end // width * width, max(_BLOCKS_AT_ONCE * rollup.finest, width)
+                for first in range(0, complete, step):
+                    end = min(first + step, complete)
+                    yield _Blocks(rollup=rollup, place=place, width=width, first=first, end=end)
 
 
 def rebuild_trends(connection: Connection) -> None:
     """Recompute all blocks."""
     connection.execute(delete(trend_blocks))
-    for blocks in _all_ranges(connection):
-        _store(connection, *blocks)
+    for blocks in _all_blocks(connection):
+        _store(connection, blocks)
 
 
 def trend_differences(connection: Connection) -> Iterator[str]:
     """Yield a message for each block that differs from its rows."""
     n_expected = 0
-    for blocks in _all_ranges(connection):
-        expected = {row.place: row.block for row in _computed(connection, *blocks)}
-        stored = dict(_stored_blocks(connection, *blocks))
+    for blocks in _all_blocks(connection):
+        expected = {row.place: row.block for row in _computed(connection, blocks)}
+        stored = dict(_stored_blocks(connection, blocks))
         n_expected += len(expected)
         for key in sorted(expected.keys() | stored.keys()):
             if stored.get(key) != expected.get(key):
@@ -354,22 +349,15 @@ def trend_differences(connection: Connection) -> Iterator[str]:
 
 
 def _covering(
-    connection: Connection, rollup: _Rollup, place: _PositionRange, first: int, end: int, width: int
-) -> list[Pieces]:
-    """Return pieces that cover a range exactly: blocks of ``width``, smaller ones and sets at the ends."""
-    if first >= end:
-        return []
-    if width < rollup.finest:
-        return [rollup.of_sets(connection, place, first, end)]
-    whole_first, whole_end = -(-first // width) * width, end // width * width
-    finer = width // FACTOR
-    if whole_first >= whole_end:
-        return _covering(connection, rollup, place, first, end, finer)
-    return [
-        *_covering(connection, rollup, place, first, whole_first, finer),
-        _stored(connection, rollup, place, width, whole_first, whole_end),
-        *_covering(connection, rollup, place, whole_end, end, finer),
+    connection: Connection, rollup: _Rollup, place: _PositionRange, first: int, end: int, widest: int
+) -> Pieces:
+    """Return pieces that cover a range exactly: blocks up to a width, smaller ones and sets at the ends."""
+    parts = [
+        _pieces(connection, _Blocks(rollup=rollup, place=place, width=width, first=start, end=stop))
+        for width, start, stop in parts_of_range(first, end, level_widths(rollup.finest, widest))
     ]
+    index, content = zip(*parts, strict=True)
+    return np.concatenate(index), np.concatenate(content)
 
 
 def _range_of_hours(connection: Connection, position: str, hours: tuple[float | None, float | None]) -> Any:
@@ -416,11 +404,9 @@ def trend_bins(
         if position_range is None or _n_measured(connection, *position_range, limit=points + 1) <= points:
             return None
         place, first, end = position_range
-        width = _CHARTS.finest
-        while (end - 1) // width - first // width >= most_bins:
-            width *= 2
-        pieces = _covering(connection, _CHARTS, place, first, end, max(_CHARTS.widths(width)))
-    _, bins = _joined(_CHARTS, _concatenated(pieces), width)
+        width = sets_per_step(first, end - 1, most_bins, _CHARTS.finest)
+        pieces = _covering(connection, _CHARTS, place, first, end, width)
+    _, bins = _joined(_CHARTS, pieces, width)
     return width, bins[bins["n_sets"] + bins["n_missed"] + bins["n_alarms"] > 0.0]
 
 
@@ -433,8 +419,7 @@ def trend_part(
         if position_range is None:
             return _NO_POINTS
         place, first, end = position_range
-        pieces = _covering(connection, _FITS, place, first, end, max(_FITS.widths(end), default=0))
-    _, parts = _concatenated(pieces)
+        _, parts = _covering(connection, _FITS, place, first, end, end)
     column = measured(place.kind).index(value)
     part: np.void = joined_part(parts[:, [column]])[0] if parts.size else _NO_POINTS
     return part
@@ -447,9 +432,3 @@ def _n_measured(connection: Connection, place: _PositionRange, first: int, end: 
     return connection.execute(
         select(func.count()).select_from(statement.order_by(None).limit(limit).subquery())
     ).scalar_one()
-
-
-def _concatenated(pieces: Iterable[Pieces]) -> Pieces:
-    """Concatenate pieces."""
-    index, content = zip(*pieces, strict=True)
-    return np.concatenate(index), np.concatenate(content)
