@@ -235,7 +235,7 @@ class PulseEchoAssessor:
                 "thickness_m": remaining_m,
                 "interval_m": None if remaining_m is None or interval is None else _interval_limits(interval),
                 "roughness_rms_m": None if interval is None else _finite_or_none(interval.roughness_rms_m),
-                "limit_m": self._settings.thinnest_m,
+                "limit_m": (1.0 - fraction) * initial_m,
                 "travel_time_s": row.travel_time_s,
                 "reference_travel_time_s": None if reference is None else reference.travel_time_s,
                 "delay_s": self._settings.ultrasound.delay_s,

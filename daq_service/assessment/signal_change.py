@@ -14,11 +14,10 @@ import numpy as np
 from analysis.assessment.step import Rules, State, wall_alarm_active
 from analysis.diagnosis.hypotheses import WALL
 from analysis.statistics.design import Design, contributions_of
-from analysis.statistics.named_limits import CHART
+from analysis.statistics.named_limits import CHART, DISTANCE, LIMITS
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.alarms.states import Condition
 from daq_service.assessment.diagnosis_texts import diagnosis_text
-from daq_service.assessment.stored_limits import limits_by_name, statistic_of
 from daq_service.catalogue.rows import AssessmentRow
 
 FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"
@@ -42,10 +41,12 @@ def wall_conditions(position: str, state: State, rules: Rules, assessment: Asses
         present, times_limit, message, evidence = _by_chart(position, design, state, rules, assessment)
     else:
         present, times_limit, message, evidence = _by_k_of_n(position, state, rules, assessment)
-    message += (
-        diagnosis_text(assessment.diagnosis, assessment.diagnosis_probability, assessment.diagnosis_details)
-        or REMEDY
-    )
+    if assessment.diagnosis is None:
+        message += REMEDY
+    else:
+        message += diagnosis_text(
+            assessment.diagnosis, assessment.diagnosis_probability, assessment.diagnosis_details
+        )
     not_wall = state.origin.not_wall
     wall = Condition(
         position=position,
@@ -127,10 +128,13 @@ def _by_chart(
 
 def _by_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
     alarm, rule = state.alarm, rules.alarm
-    limit, value = (
-        limits_by_name(assessment).get(assessment.limit_name),
-        statistic_of(assessment, assessment.limit_name),
-    )
+    statistics = {
+        DISTANCE: assessment.distance_squared,
+        CHART: assessment.mewma_statistic,
+        **(assessment.statistics or {}),
+    }
+    value = statistics.get(LIMITS[assessment.limit_name].of)
+    limit = (assessment.limits or {}).get(assessment.limit_name)
     message = (
         f"{sum(alarm.recent)} of the last {len(alarm.recent)} judged sets at {position} lie beyond the limit "
         f"of {limit or 0.0:.1f} (rule: {rule.k} of {rule.n}): "

@@ -11,14 +11,14 @@ from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
 from daq_service.alarms.delays import DELAY_EVENT, apply_delays
+from daq_service.alarms.operator_actions import end_expired_shelf
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
-from daq_service.alarms.rig_trouble import lost_cause, rig_condition
+from daq_service.alarms.rig_trouble import RIG_UNAVAILABLE, lost_cause, rig_condition
 from daq_service.alarms.states import (
     ALARMS_OF_CHANGE,
     Condition,
     Moment,
     add_evidence,
-    end_expired_shelf,
     retired_positions,
     update,
 )
@@ -56,6 +56,8 @@ class SetAssessor:
         The newest alarm of each position and kind, as stored.
     proven
         A whole set was taken in this folder: from then on trouble of its instruments costs sets only.
+    n_planned
+        Number of records wanted of each position in a set.
     confirmations
         Unscheduled sets.
     assessors
@@ -75,7 +77,12 @@ class SetAssessor:
         rehearsal: bool = False,
         news: Callable[..., None] = lambda event, **values: None,
     ) -> None:
-        self._settings = settings
+        self._settings, self._delays = settings, settings.alarms.kinds
+        self._positions_by_method = [settings.names_of(method) for method in METHODS]
+        self.n_planned = {
+            name: METHODS[place.method].records_planned(settings.schedule)
+            for name, place in settings.positions.items()
+        }
         self._catalogue = catalogue
         self._uncommitted: Transaction | None = None
         self._news = news
@@ -137,16 +144,14 @@ class SetAssessor:
         for position in self.positions_of(due):
             if position not in causes:
                 cause = retired.get(position, "disabled")
-                transaction.sets.append(
-                    without_records(self._settings, due, position, retired=True, cause=cause)
-                )
+                transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             assessor = self.assessors[position]
             assess_set = assessor.assess_set if due.position is None else assessor.assess_unscheduled
             position_result = assess_set(due, record, features)
             row = replace(
-                without_records(self._settings, due, position, retired=False, cause=causes[position]),
+                self.without_records(due, position, retired=False, cause=causes[position]),
                 state="done" if not causes[position] else "partial" if measurements else "missed",
                 n_taken=len(measurements),
                 n_valid=position_result.n_valid,
@@ -159,25 +164,42 @@ class SetAssessor:
             )
             transaction.add_position(row, measurements, position_result, moment, record.outcomes)
             suspicions[position] = position_result.suspicion
-            for condition in position_result.conditions:
-                further = self.confirmations.evidence(condition, due.set_index)
-                self._carry_alarm(
-                    replace(condition, evidence=dict(condition.evidence) | further), moment, transaction
-                )
-        rig_now = _rig_condition(self._settings, due, record, proven=self.proven)
+            conditions, confirmed = position_result.conditions, self.confirmations.last_results.get(position)
+            if confirmed is not None:
+                conditions = self.confirmations.with_result(confirmed, conditions, due.set_index)
+            for condition in conditions:
+                self._carry_alarm(condition, moment, transaction)
+        trouble, unanswered = record.trouble, self._unanswered(record)
+        has_trouble = bool(trouble or unanswered)
+        # One position that works proves nothing of the other instruments.
+        if has_trouble or (due.position is None and self._may_end(None, RIG_UNAVAILABLE)):
+            rig_now = rig_condition(due, trouble, unanswered, proven=self.proven)
+            self._carry_alarm(rig_now, moment, transaction)
         if due.position is not None:
             _add_confirmation(self.alarms, due.position, transaction, moment)
-            if rig_now.present:  # one position that works proves nothing of the other instruments
-                self._carry_alarm(rig_now, moment, transaction)
             return transaction
-        self._carry_alarm(rig_now, moment, transaction)
-        self._carry_alarm(recorder_condition("", due.due_h), moment, transaction)
+        if self._may_end(None, RECORDER_NOT_RUNNING):
+            self._carry_alarm(recorder_condition("", due.due_h), moment, transaction)
         self.proven = self.proven or not (record.trouble or any(causes.values()))
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
         for position, reason in suspicions.items():
             if reason:
                 self.confirmations.request(reason, due, position, standing, moment, transaction)
         return self._with_environment(due, moment, transaction)
+
+    def without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+        """Make the row of a position that gave not one record, or was not asked for any."""
+        return SetRow(
+            set_index=due.set_index,
+            position=position,
+            method=self._settings.positions[position].method,
+            due_utc_ns=due.due_utc_ns,
+            due_h=due.due_h,
+            state="disabled" if retired else "missed",
+            cause=cause or None,
+            n_planned=0 if retired else self.n_planned[position],
+            purpose=None if due.position is None else "confirmation",
+        )
 
     def positions_of(self, due: DueSet) -> list[str]:
         """Positions that a set is of."""
@@ -214,10 +236,26 @@ class SetAssessor:
                 transaction.add_alarm(change, moment)
             self.commit(transaction)
 
+    def _unanswered(self, record: SetRecord) -> str:
+        """Return why no instrument of a method answered in a set; empty: each method has a record."""
+        for names in self._positions_by_method:
+            if not any(item.key.position in names for item in record.records):
+                missed = [item for item in record.missed if item.key.position in names]
+                if missed and (cause := lost_cause(missed)):
+                    return cause
+        return ""
+
+    def _may_end(self, position: str | None, kind: str) -> bool:
+        """Return whether there is an alarm, or a delay before one, that an absent condition ends."""
+        return (position, kind) in self.alarms or (position, kind) in self._delayed_since_ns
+
     def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
         key = (condition.position, condition.kind)
         row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
-        to_follow, now_since_ns = apply_delays(row, condition, since_ns, moment, self._settings.alarms.kinds)
+        to_follow: Condition | None = condition
+        now_since_ns, rule = None, self._delays.get(condition.kind)
+        if rule is not None:
+            to_follow, now_since_ns = apply_delays(row, condition, since_ns, moment, rule)
         if now_since_ns != since_ns:
             delay = {"alarm_kind": condition.kind, "since_utc_ns": now_since_ns}
             transaction.add_event(DELAY_EVENT, delay, moment, position=condition.position, topic="alarms")
@@ -303,8 +341,7 @@ class SetAssessor:
             if tried is not None and not gone and due.position is None:
                 position_result = self.assessors[position].assess_empty_set(due, len(missed) - restrikes)
             row = replace(
-                without_records(
-                    self._settings,
+                self.without_records(
                     due,
                     position,
                     retired=gone,
@@ -327,26 +364,6 @@ class SetAssessor:
         return self._with_environment(due, moment, transaction)
 
 
-def records_planned(settings: Settings, position: str) -> int:
-    """Count the records wanted of a position in a set."""
-    return METHODS[settings.positions[position].method].records_planned(settings.schedule)
-
-
-def without_records(settings: Settings, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
-    """Make the row of a position that gave not one record, or was not asked for any."""
-    return SetRow(
-        set_index=due.set_index,
-        position=position,
-        method=settings.positions[position].method,
-        due_utc_ns=due.due_utc_ns,
-        due_h=due.due_h,
-        state="disabled" if retired else "missed",
-        cause=cause or None,
-        n_planned=0 if retired else records_planned(settings, position),
-        purpose=None if due.position is None else "confirmation",
-    )
-
-
 def _add_confirmation(alarms: Alarms, position: str, transaction: Transaction, moment: Moment) -> None:
     """Add the result of a confirmation set to the active alarm of its position."""
     assessment = transaction.assessments[0] if transaction.assessments else None
@@ -355,17 +372,6 @@ def _add_confirmation(alarms: Alarms, position: str, transaction: Transaction, m
         row = alarms.get((position, kind))
         if row is not None and row.state != "normal":
             transaction.add_alarm(add_evidence(row, {"confirmation": payload}, moment), moment)
-
-
-def _rig_condition(settings: Settings, due: DueSet, record: SetRecord, *, proven: bool) -> Condition:
-    """Return whether the instruments of any method had trouble; each method has its own."""
-    unanswered = ""
-    for method in METHODS:
-        names = settings.names_of(method)
-        if not any(item.key.position in names for item in record.records):
-            missed = [item for item in record.missed if item.key.position in names]
-            unanswered = unanswered or lost_cause(missed)
-    return rig_condition(due, record.trouble, unanswered, proven=proven)
 
 
 def _report_changes(transaction: Transaction, news: Callable[..., None]) -> None:

@@ -6,7 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from daq_service.alarms.states import Condition, Moment, reset, update
+from daq_service.alarms.operator_actions import reset
+from daq_service.alarms.states import Condition, Moment, update
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
 from daq_service.processes.notifications.delivery_log import DeliveryLog

@@ -52,7 +52,7 @@ from daq_service.catalogue.rows import (
 from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.reassessment.changes import comparable
 from daq_service.recording.reassessment.stored_runs import Progress, Run, repeat_action, row_of, runs_of
-from daq_service.recording.set_assessor import SetAssessor, without_records
+from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot, in_order, purpose_of
 
@@ -249,7 +249,7 @@ class _Restoration:
         for position, cause in left_out.items() if of_the_plan else ():
             first = stored[0]
             due = DueSet(set_index=first.set_index, due_h=first.due_h, due_utc_ns=first.due_utc_ns)
-            retired = without_records(self._settings, due, position, retired=True, cause=cause)
+            retired = self._set_assessor.without_records(due, position, retired=True, cause=cause)
             rows.setdefault(position, retired)
         digests = self._history.digests
         rows = {name: replace(row, file_sha256=digests.get(row.file or "")) for name, row in rows.items()}
