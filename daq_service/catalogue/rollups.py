@@ -16,13 +16,13 @@ from typing import Any, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, bindparam, delete, func, insert, select
+from sqlalchemy import ColumnElement, Connection, bindparam, delete, func, insert, select
 
 from analysis.statistics.bins import bin_type, bins_of_sets, joined_bins
 from analysis.statistics.trend import PART, joined_part, parts_of_points
-from daq_service.catalogue.reader import Catalogue, Filters, Scope, filtered, in_plan, read_rows, set_at
-from daq_service.catalogue.row_checksum import DamagedRow, checked_values, storable
+from daq_service.catalogue.reader import Catalogue, in_plan, set_at
 from daq_service.catalogue.rows import (
+    MEASURED,
     MEASURED_BY,
     AlarmRow,
     AssessmentRow,
@@ -32,9 +32,9 @@ from daq_service.catalogue.rows import (
     SetRow,
     ThicknessRow,
     TrendBlockRow,
-    measured,
 )
-from daq_service.catalogue.tables import alarms, sets, table_of, trend_blocks
+from daq_service.catalogue.stored_rows import DamagedRow, checked_rows, checked_values, storable
+from daq_service.catalogue.tables import TABLES, alarms, sets, trend_blocks
 from hardware_drivers.measurement import PLANNED_SETS
 
 log = logging.getLogger(__name__)
@@ -90,19 +90,21 @@ class _Rollup:
 
 def values_of(kind: Kind) -> tuple[str, ...]:
     """Return the names of the values of a bin, in order."""
-    return (*measured(kind), *ASSESSED_VALUES)
+    return (*MEASURED[kind], *ASSESSED_VALUES)
 
 
-def _of_sets(kind: type[Row], position: str, first: int, end: int) -> Filters:
-    """Return the filters for a range of sets of a position."""
-    scope: Scope | None = "set" if kind is FeatureRow else None
-    return {"position": position, "first_set": first, "last_set": end - 1, "scope": scope}
+def _of_sets(kind: type[Row], position: str, first: int, end: int) -> ColumnElement[bool]:
+    """Return the condition for the rows of a range of scheduled sets."""
+    table = TABLES[kind]
+    of_sets = (table.c.position == position) & table.c.set_index.between(first, end - 1)
+    return of_sets & table.c.shot_index.is_(None) if kind is FeatureRow else of_sets
 
 
 def _rows(connection: Connection, kind: type[R], position: str, first: int, end: int) -> list[R]:
-    """Read the rows of a range of sets."""
-    table = table_of(kind)
-    return read_rows(connection, kind, filtered(select(table), table, _of_sets(kind, position, first, end)))
+    """Read the rows of a range of scheduled sets."""
+    table = TABLES[kind]
+    statement = select(table).where(_of_sets(kind, position, first, end)).order_by(table.c.set_index)
+    return list(checked_rows(connection, kind, statement))
 
 
 def _bins(connection: Connection, place: _PositionRange, first: int, end: int) -> Pieces:
@@ -112,8 +114,8 @@ def _bins(connection: Connection, place: _PositionRange, first: int, end: int) -
     assessments = {row.set_index: row for row in _rows(connection, AssessmentRow, place.position, first, end)}
     in_range = (alarms.c.raised_set_index >= first) & (alarms.c.raised_set_index < end)
     raised = select(alarms).where(alarms.c.position == place.position, in_range)
-    n_alarms = Counter(row.raised_set_index for row in read_rows(connection, AlarmRow, raised))
-    names = measured(place.kind)
+    n_alarms = Counter(row.raised_set_index for row in checked_rows(connection, AlarmRow, raised))
+    names = MEASURED[place.kind]
     values = [
         [
             *(getattr(results.get(row.set_index), name, None) for name in names),
@@ -142,7 +144,7 @@ def _bins(connection: Connection, place: _PositionRange, first: int, end: int) -
 def _parts(connection: Connection, place: _PositionRange, first: int, end: int) -> Pieces:
     """Compute the sums for fits of each set of a range."""
     results = _rows(connection, place.kind, place.position, first, end)
-    names = measured(place.kind)
+    names = MEASURED[place.kind]
     values = np.array([[getattr(row, name) for name in names] for row in results], dtype=np.float64)
     parts = parts_of_points([row.due_h for row in results], values.reshape(len(results), len(names)))
     return np.array([row.set_index for row in results], dtype=np.int64), parts
@@ -163,7 +165,7 @@ _CHARTS = _Rollup(
 _FITS = _Rollup(
     name="fits",
     finest=64,  # a part of fewer points is larger than they are
-    type_of=lambda kind: np.dtype((PART, (len(measured(kind)),))),
+    type_of=lambda kind: np.dtype((PART, (len(MEASURED[kind]),))),
     of_sets=_parts,
     joined=_joined_parts,
 )
@@ -435,17 +437,18 @@ def trend_part(
         place, first, end = position_range
         pieces = _covering(connection, _FITS, place, first, end, max(_FITS.widths(end), default=0))
     _, parts = _concatenated(pieces)
-    column = measured(place.kind).index(value)
+    column = MEASURED[place.kind].index(value)
     part: np.void = joined_part(parts[:, [column]])[0] if parts.size else _NO_POINTS
     return part
 
 
 def _n_measured(connection: Connection, place: _PositionRange, first: int, end: int, *, limit: int) -> int:
     """Count the measured sets of a range, up to a limit."""
-    table = table_of(place.kind)
-    statement = filtered(select(table.c.set_index), table, _of_sets(place.kind, place.position, first, end))
+    table = TABLES[place.kind]
+    in_range = _of_sets(place.kind, place.position, first, end)
+    statement = select(table.c.set_index).where(in_range)
     return connection.execute(
-        select(func.count()).select_from(statement.order_by(None).limit(limit).subquery())
+        select(func.count()).select_from(statement.limit(limit).subquery())
     ).scalar_one()
 
 

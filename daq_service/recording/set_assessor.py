@@ -1,15 +1,17 @@
-"""Turn every set into rows: assessed, empty, missed or retired, in one transaction with its alarms."""
+"""Assess a set: its rows, alarms and events in one transaction, and the states that later sets build on."""
 
 from __future__ import annotations
 
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
+from typing import Any
 
+from analysis.assessment.exact_json import to_json
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
+from daq_service.acquisition.taken_set import n_missed, n_restrikes
 from daq_service.alarms.delays import DELAY_EVENT, apply_delays
 from daq_service.alarms.operator_actions import end_expired_shelf
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
@@ -23,13 +25,13 @@ from daq_service.alarms.states import (
     update,
 )
 from daq_service.archive import SetReader, SetRecord
-from daq_service.assessment.assessor import PositionResult
+from daq_service.assessment.assessor import Assessor, StoredResult
 from daq_service.assessment.confirmation import summarize_confirmation
 from daq_service.assessment.methods import METHODS
-from daq_service.assessment.position_assessors import PositionAssessors
+from daq_service.assessment.restore_state import STATE_FORMAT
 from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
+from daq_service.catalogue import Catalogue, RecorderCatalogue
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, AssessorStateRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.recording.confirmations import Alarms, Confirmations
@@ -38,6 +40,9 @@ from hardware_drivers.instruments import Rig
 from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)
+
+FROZEN_FIELDS = frozenset({"healthy", "n_left_out", "baseline", "reference"})
+"""Fields of a state that rarely change. They are large and have a row of their own."""
 
 
 class SetAssessor:
@@ -98,7 +103,7 @@ class SetAssessor:
         self.drive = None
         if rig is not None and (rig.supply or rig.climate or remote_drive):
             self.drive = DriveWatch(
-                settings.rig, rig, catalogue, self.alarms, self._carry_alarm, self.commit, remote_drive
+                settings.rig, rig, catalogue, self.alarms, self.carry_alarm, self.commit, remote_drive
             )
 
     def adopt(self) -> None:
@@ -168,24 +173,24 @@ class SetAssessor:
             if confirmed is not None:
                 conditions = self.confirmations.with_result(confirmed, conditions, due.set_index)
             for condition in conditions:
-                self._carry_alarm(condition, moment, transaction)
+                self.carry_alarm(condition, moment, transaction)
         trouble, unanswered = record.trouble, self._unanswered(record)
         has_trouble = bool(trouble or unanswered)
         # One position that works proves nothing of the other instruments.
         if has_trouble or (due.position is None and self._may_end(None, RIG_UNAVAILABLE)):
             rig_now = rig_condition(due, trouble, unanswered, proven=self.proven)
-            self._carry_alarm(rig_now, moment, transaction)
+            self.carry_alarm(rig_now, moment, transaction)
         if due.position is not None:
-            _add_confirmation(self.alarms, due.position, transaction, moment)
+            add_confirmation(self.alarms, due.position, transaction, moment)
             return transaction
         if self._may_end(None, RECORDER_NOT_RUNNING):
-            self._carry_alarm(recorder_condition("", due.due_h), moment, transaction)
+            self.carry_alarm(recorder_condition("", due.due_h), moment, transaction)
         self.proven = self.proven or not (record.trouble or any(causes.values()))
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
         for position, reason in suspicions.items():
             if reason:
                 self.confirmations.request(reason, due, position, standing, moment, transaction)
-        return self._with_environment(due, moment, transaction)
+        return self.with_environment(due, moment, transaction)
 
     def without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
         """Make the row of a position that gave not one record, or was not asked for any."""
@@ -222,7 +227,7 @@ class SetAssessor:
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
         """Store what becomes of an alarm that belongs to no set."""
         transaction = Transaction()
-        self._carry_alarm(condition, moment, transaction)
+        self.carry_alarm(condition, moment, transaction)
         if transaction.events:
             self.commit(transaction)
 
@@ -249,7 +254,8 @@ class SetAssessor:
         """Return whether there is an alarm, or a delay before one, that an absent condition ends."""
         return (position, kind) in self.alarms or (position, kind) in self._delayed_since_ns
 
-    def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
+    def carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
+        """Add what becomes of an alarm with a condition, unless it is held back."""
         key = (condition.position, condition.kind)
         row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
         to_follow: Condition | None = condition
@@ -278,7 +284,7 @@ class SetAssessor:
             payload = event.payload
             self._delayed_since_ns[(event.position, payload["alarm_kind"])] = payload["since_utc_ns"]
 
-    def _with_environment(self, due: DueSet, moment: Moment, transaction: Transaction) -> Transaction:
+    def with_environment(self, due: DueSet, moment: Moment, transaction: Transaction) -> Transaction:
         """Add the readings of supply and climate probe since the last set."""
         if self.drive is not None:
             self.drive.add_row(transaction, due, moment)
@@ -314,57 +320,8 @@ class SetAssessor:
         self.confirmations.take_rows(transaction)
         _report_changes(transaction, self._news)
 
-    def nothing_taken(
-        self, due: DueSet, causes: Mapping[str, str], *, utc_ns: int, tried: TakenSet | None = None
-    ) -> Transaction:
-        """Not one record: rows with the causes, but no file; to be committed.
 
-        Parameters
-        ----------
-        causes
-            Why there is none, by position.
-        tried
-            The attempts, which show the state of the instruments; None: there were none.
-        """
-        moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
-        transaction = Transaction()
-        retired = self.retired() if tried is None else tried.retired
-        for position in self.positions_of(due):
-            gone = position in retired
-            missed = (
-                []
-                if tried is None
-                else [key for key in (item.key for item in tried.missed) if key.position == position]
-            )
-            restrikes = sum(key.attempt > 0 for key in missed)
-            position_result = PositionResult()
-            if tried is not None and not gone and due.position is None:
-                position_result = self.assessors[position].assess_empty_set(due, len(missed) - restrikes)
-            row = replace(
-                self.without_records(
-                    due,
-                    position,
-                    retired=gone,
-                    cause=retired.get(position) or causes[position],
-                ),
-                n_missed=len(missed),
-                n_restrikes=restrikes,
-            )
-            transaction.add_position(row, [], position_result, moment)
-            for condition in position_result.conditions:
-                self._carry_alarm(condition, moment, transaction)
-        if tried is not None and (tried.trouble is not None or tried.missed):
-            unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
-            payload = rig_condition(due, tried.instrument_error(), unanswered, proven=self.proven)
-            self._carry_alarm(payload, moment, transaction)
-        log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
-        if due.position is not None:
-            _add_confirmation(self.alarms, due.position, transaction, moment)
-            return transaction
-        return self._with_environment(due, moment, transaction)
-
-
-def _add_confirmation(alarms: Alarms, position: str, transaction: Transaction, moment: Moment) -> None:
+def add_confirmation(alarms: Alarms, position: str, transaction: Transaction, moment: Moment) -> None:
     """Add the result of a confirmation set to the active alarm of its position."""
     assessment = transaction.assessments[0] if transaction.assessments else None
     payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
@@ -392,3 +349,97 @@ def _report_changes(transaction: Transaction, news: Callable[..., None]) -> None
             priority=alarm.priority,
             message=alarm.message,
         )
+
+
+class PositionAssessors:
+    """Assessors by position, restored when they are first used.
+
+    Parameters
+    ----------
+    rehearsal
+        The waveforms are noise of a rehearsal.
+
+    Attributes
+    ----------
+    reinstated
+        A person has enabled a transducer since the states were stored.
+    """
+
+    def __init__(self, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool) -> None:
+        self._settings, self._catalogue, self._archive = settings, catalogue, archive
+        self._rehearsal, self._configuration_hash = rehearsal, settings.configuration_hash()
+        self._assessors: dict[str, Assessor] = {}
+        self._stored: dict[str, object] = {}
+        self.reinstated = False
+        for position in settings.positions:
+            self[position]  # an error of its state is reported at the start
+
+    def __getitem__(self, position: str) -> Assessor:
+        if position not in self._assessors:
+            method = METHODS[self._settings.positions[position].method]
+            self._assessors[position] = method.restored(
+                position, self._settings, self._catalogue, self._archive, self._rehearsal
+            )
+        return self._assessors[position]
+
+    def reinstate(self, position: str) -> None:
+        """Reset the reason why a transducer was disabled: a person has enabled it."""
+        self[position].reinstate()
+        self.reinstated = True
+
+    def renew(self, position: str) -> None:
+        """Assess by what is stored from the next set on: a person has renewed the baseline."""
+        self._assessors.pop(position, None)
+        self._stored.pop(position, None)
+
+    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
+        """Update the state with a set by its rows (`Assessor.follow`)."""
+        return self[stored.its_set.position].follow(stored)
+
+    @property
+    def states(self) -> dict[str, object]:
+        """Return the state of each position; set it to continue from an earlier one."""
+        return {position: assessor.state for position, assessor in self._assessors.items()}
+
+    @states.setter
+    def states(self, states: Mapping[str, object]) -> None:
+        for position, state in states.items():
+            self[position].state = state
+
+    def changed_states(self) -> dict[str, AssessorStateRow]:
+        """Return the rows of the states that have changed since the last call, by ``place``."""
+        rows: list[AssessorStateRow] = []
+        for position, assessor in self._assessors.items():
+            before, self._stored[position] = self._stored.get(position), assessor.state
+            rows += state_rows(
+                before,
+                assessor.state,
+                position=position,
+                baseline_id=assessor.baseline_id,
+                configuration_hash=self._configuration_hash,
+            )
+        self.reinstated = False
+        return {row.place: row for row in rows}
+
+
+def state_rows(
+    before: Any, after: Any, *, position: str, baseline_id: int | None, configuration_hash: str
+) -> list[AssessorStateRow]:
+    """Return the rows of a state that differ from those of the state before; None: all of them."""
+    parts = {"frozen": FROZEN_FIELDS, "running": {item.name for item in fields(after)} - FROZEN_FIELDS}
+    rows = []
+    for part, names in parts.items():
+        values = {item.name: getattr(after, item.name) for item in fields(after) if item.name in names}
+        if before is not None and all(getattr(before, name) is value for name, value in values.items()):
+            continue
+        rows.append(
+            AssessorStateRow(
+                place=f"{position}/{part}",
+                position=position,
+                baseline_id=baseline_id,
+                configuration_hash=configuration_hash,
+                format=STATE_FORMAT,
+                state=to_json(values),
+            )
+        )
+    return rows

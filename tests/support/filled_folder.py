@@ -32,9 +32,9 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     SetRow,
     ThicknessRow,
-    payload_of,
     values,
 )
+from daq_service.catalogue.writer import payload_of
 from daq_service.clock import TimeLine, parse_utc
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat

@@ -9,7 +9,8 @@ from typing import Any
 from daq_service.alarms.operator_actions import reset
 from daq_service.alarms.states import Condition, Moment, update
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
+from daq_service.catalogue.rows import AlarmRow, EventRow
+from daq_service.catalogue.writer import payload_of
 from daq_service.processes.notifications.delivery_log import DeliveryLog
 from daq_service.processes.notifications.messages import Message
 from daq_service.processes.notifications.receiver import ReceiverQueue

@@ -6,6 +6,7 @@ them. A set is assessed from its records only where one of both is missing or no
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -34,8 +35,9 @@ from daq_service.assessment.restore_state import first_waveform, is_assessed
 from daq_service.assessment.results_in_file import find_differences, results_of
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.reported_rows import ROW_OF_EVENT
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, joined, without_rows
 from daq_service.catalogue.rows import (
+    MEASURED,
     AlarmRow,
     AnnotationRow,
     AssessmentRow,
@@ -48,7 +50,6 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
-    measured,
 )
 from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.reassessment.changes import comparable
@@ -280,7 +281,7 @@ class _Restoration:
             found = find_differences(record.results, again)
             self._result.differing += [f"set {due.set_index}, its file: {difference}" for difference in found]
         self._add_environment(transaction, record)
-        computed = list(transaction.events)
+        computed = joined(transaction.events, _reported_rows(transaction))
         if events:
             if not damage:
                 self._result.differing += _differences(computed, events)
@@ -310,7 +311,7 @@ class _Restoration:
             # This set has no events: its alarms follow from its assessment.
             self._store_pending()
             self._catalogue.restore(self._alarms.values())
-            transaction.events = list(events)
+            transaction.events = without_rows(events, _reported_rows(transaction))
             self._set_assessor.commit(transaction)
             self._alarms |= {row.id or 0: row for row in self._set_assessor.alarms.values()}
             return
@@ -329,6 +330,7 @@ class _Restoration:
     def _store_pending(self) -> None:
         """Store the rows of the last sets in one commit, with the states after them."""
         self._pending.states = self._set_assessor.assessors.changed_states()
+        self._pending.events = without_rows(self._pending.events, _reported_rows(self._pending))
         self._catalogue.commit_set(self._pending)
         self._pending, self._n_pending = Transaction(), 0
 
@@ -392,7 +394,7 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
         if "tof_pp_s" in result:
             values = {name: result[name] for name in ("extractor_version", "quality", "n_valid")}
             measured_values: dict[str, Any] = {
-                name: _finite_or_none(result.get(name)) for name in measured(FeatureRow)
+                name: _finite_or_none(result.get(name)) for name in MEASURED[FeatureRow]
             }
             features.append(
                 FeatureRow(**key, sequence=row["shot_id"], due_h=due_h, **values, **measured_values)
@@ -427,6 +429,13 @@ def _with_stored_rows(
         transaction.baselines = _rows(BaselineRow, events)
         transaction.assessments = _rows(AssessmentRow, events)
     return transaction
+
+
+def _reported_rows(transaction: Transaction) -> list[Row]:
+    """Return the rows of a transaction that events report."""
+    of_set = [row for row in transaction.features if row.shot_index is None]
+    rows = (transaction.sets, of_set, transaction.thickness, transaction.assessments, transaction.environment)
+    return list(itertools.chain(*rows))
 
 
 def _merged(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:

@@ -23,7 +23,6 @@ from daq_service.catalogue.errors import (
     NoDataYetError,
     OtherExperimentError,
 )
-from daq_service.catalogue.row_checksum import storable
 from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
@@ -35,6 +34,7 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
 )
+from daq_service.catalogue.stored_rows import storable
 from daq_service.catalogue.tables import features, sets
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings

@@ -10,7 +10,6 @@ from support.new_experiment import new_catalogue
 
 from analysis.statistics.trend import fit_trend, trend_of_part
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.connection import writing
 from daq_service.catalogue.rollups import (
     QUALITIES,
     rebuild_trends,
@@ -20,6 +19,7 @@ from daq_service.catalogue.rollups import (
     values_of,
 )
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, FeatureRow, SetRow
+from daq_service.catalogue.stored_rows import writing
 from daq_service.catalogue.tables import sets, trend_blocks
 
 N_SETS, BASELINE = 330, 48
