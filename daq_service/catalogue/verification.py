@@ -22,10 +22,10 @@ from daq_service.catalogue.errors import (
     NoDataYetError,
 )
 from daq_service.catalogue.migrations import SCHEMA_REVISION
-from daq_service.catalogue.rollups import trend_differences
 from daq_service.catalogue.rows import EventRow
 from daq_service.catalogue.stored_rows import BUSY_TIMEOUT_S
 from daq_service.catalogue.tables import metadata, trend_blocks
+from daq_service.catalogue.trends import trend_differences
 from daq_service.shared_file import remove_quietly
 
 _EARLIER_TABLES = {name: earlier for earlier, name in TOPICS.items()}
