@@ -31,7 +31,7 @@ from analysis.waves.features import (
     ShotFeatures,
 )
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import n_tried
+from daq_service.acquisition.take_set import n_tried
 from daq_service.archive import SetRecord
 from daq_service.assessment.assessor import PositionResult, StoredResult
 from daq_service.assessment.baseline_lifecycle import AUTOMATIC, BaselineRange

@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterator
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import RestrikeRule
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import Measurement, MissedShot, SetPlan, take_set
-from daq_service.acquisition.taken_set import TakenSet, features_of_a_rehearsal
+from daq_service.acquisition.shot_features import features_of_a_rehearsal
+from daq_service.acquisition.take_set import Measurement, MissedShot, SetPlan, TakenSet, take_set
 from daq_service.archive import OpenSet, PositionRecord, SetRecord
 from daq_service.clock import boot_id
 from daq_service.commands.execution import CommandExecutor

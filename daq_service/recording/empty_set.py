@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import TakenSet
+from daq_service.acquisition.take_set import TakenSet
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
 from daq_service.alarms.states import Moment
 from daq_service.assessment.assessor import PositionResult

@@ -15,8 +15,8 @@ from typing import Any
 
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import Measurement
-from daq_service.acquisition.taken_set import TakenSet, features_of
+from daq_service.acquisition.shot_features import features_of
+from daq_service.acquisition.take_set import Measurement, TakenSet
 from daq_service.alarms.states import Moment
 from daq_service.archive import SetRecord
 from daq_service.assessment.transaction import Transaction

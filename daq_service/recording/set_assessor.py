@@ -11,7 +11,7 @@ from typing import Any
 from analysis.assessment.exact_json import to_json
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import n_missed, n_restrikes
+from daq_service.acquisition.take_set import n_missed, n_restrikes
 from daq_service.alarms.delays import DELAY_EVENT, apply_delays
 from daq_service.alarms.operator_actions import end_expired_shelf
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition

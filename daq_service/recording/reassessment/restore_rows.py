@@ -17,8 +17,8 @@ import orjson
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
-from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import due_of, features_of, features_of_a_rehearsal
+from daq_service.acquisition.schedule import DueSet, due_of
+from daq_service.acquisition.shot_features import features_of, features_of_a_rehearsal
 from daq_service.alarms.delays import DELAY_EVENT
 from daq_service.archive import (
     ArchiveError,
