@@ -24,7 +24,6 @@ from analysis.diagnosis.diagnose import Diagnosis
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
 from analysis.statistics.named_limits import CHART, DISTANCE
 from analysis.waves.features import (
-    ALL_FEATURE_NAMES,
     EXTRACTOR_VERSION,
     FEATURE_NAMES,
     SetFeatures,
@@ -33,7 +32,7 @@ from analysis.waves.features import (
 from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.take_set import n_tried
 from daq_service.archive import SetRecord
-from daq_service.assessment.assessor import PositionResult, StoredResult
+from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.baseline_lifecycle import AUTOMATIC, BaselineRange
 from daq_service.assessment.diagnosis_texts import diagnosis_details
 from daq_service.assessment.rules import rules_of
@@ -72,33 +71,13 @@ class SolitaryWaveAssessor:
         has_chart: bool = True,
     ) -> None:
         self.position = position
-        self._rules = rules_of(settings, baseline=baseline, position=position, has_chart=has_chart)
+        self.rules = rules_of(settings, baseline=baseline, position=position, has_chart=has_chart)
         self._quality = settings.quality
         self._approval = settings.baseline.approval
         self._of_set = settings.features.of_set
         self._baseline_id = baseline.row_id
         self._rehearsal = rehearsal
         self.state = State()
-
-    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
-        """Update the state with a set by its rows; return the assessments of a baseline that it completes."""
-        row, result, before = stored.its_set, stored.result, self.state
-        set_of_shots = SetOfShots(
-            set_index=row.set_index,
-            due_h=row.due_h,
-            n_taken=row.n_taken,
-            n_tried=row.n_taken + row.n_missed - row.n_restrikes,
-            n_valid=row.n_valid,
-            quality="bad" if result is None else result.quality,
-            reason="",
-            values={} if result is None else {name: getattr(result, name) for name in ALL_FEATURE_NAMES},
-            flags=stored.flags,
-        )
-        if row.purpose is not None:
-            self._diagnose_unscheduled(set_of_shots)
-            return ()
-        self.state, _ = step(before, set_of_shots, self._rules)
-        return self._baseline_assessments() if _freezes(before, self.state) else ()
 
     @property
     def baseline_id(self) -> int:
@@ -150,14 +129,14 @@ class SolitaryWaveAssessor:
         combined, before = self._combine(shots, features, outcomes or {}), self.state
         tried = len({shot.key.shot_index for shot in shots}) if n_tried is None else n_tried
         set_of_shots = combined.as_set(due.set_index, due.due_h, tried)
-        self.state, assessment = step(before, set_of_shots, self._rules)
+        self.state, assessment = step(before, set_of_shots, self.rules)
         devices = device_conditions(
-            self.position, due, self.state, self._rules, self._quality, combined.mean.reason
+            self.position, due, self.state, self.rules, self._quality, combined.mean.reason
         )
         if assessment is None:
             return PositionResult(conditions=devices, note=combined.mean.reason)
-        freezes = _freezes(before, self.state)
-        assessments = self._baseline_assessments() if freezes else []
+        freezes = freezes_baseline(before, self.state)
+        assessments = self.baseline_assessments() if freezes else []
         if not any(row.set_index == due.set_index for row in assessments):
             assessments.append(self._assessment_row(due.set_index, due.due_h, assessment))
         return replace(
@@ -167,11 +146,11 @@ class SolitaryWaveAssessor:
             conditions=[
                 # Shots without a reflected wave are a finding about the wall, not about the transducer.
                 *([] if self.state.hole.sets_running else devices),
-                *wall_conditions(self.position, self.state, self._rules, assessments[-1]),
-                hole_condition(self.position, due, self.state, self._rules.hole, set_of_shots.flags),
+                *wall_conditions(self.position, self.state, self.rules, assessments[-1]),
+                hole_condition(self.position, due, self.state, self.rules.hole, set_of_shots.flags),
                 not_assessed_condition(self.position, due, self.state, self._baseline_id),
             ],
-            suspicion=request_reason(before, self.state, assessment, self._rules),
+            suspicion=request_reason(before, self.state, assessment, self.rules),
         )
 
     def assess_unscheduled(
@@ -184,15 +163,15 @@ class SolitaryWaveAssessor:
         if self.state.baseline is None:
             return result
         set_of_shots = combined.as_set(due.set_index, due.due_h, n_tried(record, self.position))
-        assessment = assess_alone(set_of_shots, self.state.baseline, self._rules)
+        assessment = assess_alone(set_of_shots, self.state.baseline, self.rules)
         vector, fitted = set_of_shots.vector(), self.state.baseline.fitted
-        assessment = replace(assessment, cause=self._diagnose_unscheduled(set_of_shots))
+        assessment = replace(assessment, cause=self.diagnose_unscheduled(set_of_shots))
         row = self._assessment_row(due.set_index, due.due_h, assessment)
         if vector is not None and fitted is not None:
             row = replace(row, confirms=confirms_change(self.state.assessed, fitted, vector))
         return replace(result, assessments=[row])
 
-    def _diagnose_unscheduled(self, set_of_shots: SetOfShots) -> Diagnosis | None:
+    def diagnose_unscheduled(self, set_of_shots: SetOfShots) -> Diagnosis | None:
         """Diagnose an unscheduled set; the diagnosis state keeps it."""
         parameters = None if self.state.baseline is None else self.state.baseline.causes
         if parameters is None or set_of_shots.vector() is None:
@@ -216,7 +195,7 @@ class SolitaryWaveAssessor:
             features,
             outcomes,
             baseline=self.state.baseline,
-            minimum_valid_shots=self._rules.minimum_valid_shots,
+            minimum_valid_shots=self.rules.minimum_valid_shots,
             of_set=self._of_set,
         )
 
@@ -236,7 +215,7 @@ class SolitaryWaveAssessor:
 
     def _baseline_row(self) -> BaselineRow:
         """Return the row of the baseline that was just frozen."""
-        state, rules = self.state, self._rules
+        state, rules = self.state, self.rules
         assert state.baseline is not None, "just closed"
         fitted = state.baseline.fitted
         indices = [healthy_set.set_index for healthy_set in state.healthy]
@@ -269,7 +248,7 @@ class SolitaryWaveAssessor:
             },
         )
 
-    def _baseline_assessments(self) -> list[AssessmentRow]:
+    def baseline_assessments(self) -> list[AssessmentRow]:
         """Return the assessment rows of the baseline's sets with their distances."""
         state = self.state
         assert state.baseline is not None, "just closed"
@@ -297,7 +276,7 @@ class SolitaryWaveAssessor:
             baseline_id=None if baseline is None else self._baseline_id,
             in_baseline=assessment.in_baseline,
             distance_squared=assessment.distance_squared,
-            limit_name=self._rules.limit if baseline is None else baseline.effective_limit(self._rules.limit),
+            limit_name=self.rules.limit if baseline is None else baseline.effective_limit(self.rules.limit),
             limit_f_predictive=limits.get(F_PREDICTIVE),
             limit_mean_3sd=limits.get(PAPER_MEAN_3SD),
             outlier=assessment.outlier,
@@ -317,7 +296,8 @@ class SolitaryWaveAssessor:
         )
 
 
-def _freezes(before: State, after: State) -> bool:
+def freezes_baseline(before: State, after: State) -> bool:
+    """Return whether a set completed the baseline."""
     return before.baseline is None and after.baseline is not None
 
 

@@ -25,13 +25,13 @@ from daq_service.alarms.states import (
     update,
 )
 from daq_service.archive import SetReader, SetRecord
-from daq_service.assessment.assessor import Assessor, StoredResult
+from daq_service.assessment.assessor import Assessor
 from daq_service.assessment.confirmation import summarize_confirmation
 from daq_service.assessment.methods import METHODS
 from daq_service.assessment.restore_state import STATE_FORMAT
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import Catalogue, RecorderCatalogue
-from daq_service.catalogue.rows import AlarmRow, AssessmentRow, AssessorStateRow, EventRow, SetRow
+from daq_service.catalogue.rows import AlarmRow, AssessorStateRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.recording.confirmations import Alarms, Confirmations
@@ -391,10 +391,6 @@ class PositionAssessors:
         """Assess by what is stored from the next set on: a person has renewed the baseline."""
         self._assessors.pop(position, None)
         self._stored.pop(position, None)
-
-    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
-        """Update the state with a set by its rows (`Assessor.follow`)."""
-        return self[stored.its_set.position].follow(stored)
 
     @property
     def states(self) -> dict[str, object]:

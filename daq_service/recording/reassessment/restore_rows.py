@@ -31,6 +31,7 @@ from daq_service.archive import (
 from daq_service.assessment.assessor import StoredResult
 from daq_service.assessment.baseline_lifecycle import STEPS
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED
+from daq_service.assessment.follow_rows import follow
 from daq_service.assessment.restore_state import first_waveform, is_assessed
 from daq_service.assessment.results_in_file import find_differences, results_of
 from daq_service.assessment.transaction import Transaction
@@ -223,7 +224,8 @@ class _Restoration:
         results |= {row.position: row for row in transaction.features if row.shot_index is None}
         completed: list[AssessmentRow] = []
         for row in filter(is_assessed, transaction.sets):
-            followed = self._set_assessor.assessors.follow(
+            followed = follow(
+                self._set_assessor.assessors[row.position],
                 StoredResult(
                     its_set=row,
                     result=results.get(row.position),
@@ -233,7 +235,7 @@ class _Restoration:
                         if shot.position == row.position and shot.outcome == ACCEPTED
                     ],
                     waveform=partial(first_waveform, self._archive, row),
-                )
+                ),
             )
             own = [item for item in transaction.assessments if item.position == row.position]
             known = {item.set_index for item in own}
