@@ -7,7 +7,7 @@ from typing import Annotated, Any
 from fastapi import APIRouter, Query
 
 from daq_service.assessment.methods import METHODS
-from daq_service.catalogue.rollups import trend_part
+from daq_service.catalogue.trends import trend_part
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Fit, problems
 from daq_service.web.context import ContextOf
