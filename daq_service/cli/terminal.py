@@ -171,7 +171,7 @@ class ProgressReport:
         elif child == "recorder":
             self(message["event"], **values)
 
-    def _hear_beat(self, *, doing: str, **_: Any) -> None:
+    def _hear_beat(self, *, doing: str, **_: object) -> None:
         if doing != self._doing:
             self._doing, self._doing_since_s = doing, self._mono_s()
 
@@ -195,7 +195,7 @@ class ProgressReport:
             self._logged_s = now_s
             self._put(self._progress)
 
-    def _hear_alarm(self, *, change: str, hour: float, priority: str, message: str, **_: Any) -> None:
+    def _hear_alarm(self, *, change: str, hour: float, priority: str, message: str, **_: object) -> None:
         is_active = change in ("alarm_raised", "alarm_priority_raised", "alarm_reactivated")
         text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
         self._put(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
@@ -204,7 +204,7 @@ class ProgressReport:
         self._put(f"waiting: {why}", style="yellow")
 
     def _hear_asked(
-        self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: Any
+        self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: object
     ) -> None:
         shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
         self._put(f"{text}{shot}: within {duration(within_s)}", style="bold")

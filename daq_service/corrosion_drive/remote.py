@@ -13,14 +13,14 @@ import os
 import signal
 import subprocess
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.clock import elapsed_ns
-from daq_service.corrosion_drive.channel import Connection, connect
+from daq_service.corrosion_drive.channel import Connection, Message, connect
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import (
     SWITCH_OFF_BY_HAND,
@@ -67,7 +67,7 @@ def answered_within_s(parameters: DriveParameters) -> float:
 class _Request:
     """Request that was sent, or waits to be sent."""
 
-    values: Mapping[str, Any]
+    values: Message
     since_s: float
     reply: Reply
 
@@ -110,9 +110,9 @@ class RemoteDrive:
         self._ids = itertools.count(1)
         self._sent: dict[int, _Request] = {}
         self._unsent: list[_Request] = []
-        self._pending: Mapping[str, Any] | None = None
+        self._pending: Message | None = None
         self._commanded: bool | None = None
-        self._newest: Mapping[str, Any] | None = None
+        self._newest: Message | None = None
         self._newest_s = self._started_s = self._next_check_s = self._start_s = mono_s()
         self._starts = 0
         self._tripped: str | None = None
@@ -205,7 +205,7 @@ class RemoteDrive:
         except (OSError, ValueError, LookupError, TypeError) as error:
             self._handle_lost_connection(error)
 
-    def _request(self, do: str, **values: Any) -> None:
+    def _request(self, do: str, **values: object) -> None:
         self._send(_Request(values={"do": do, **values}, since_s=self._mono_s(), reply=Reply()))
 
     def _send(self, request: _Request) -> None:
@@ -215,7 +215,7 @@ class RemoteDrive:
         self._sent[number] = request
         self._connection.send({"id": number, **request.values})
 
-    def _process_answer(self, answer: Mapping[str, Any]) -> None:
+    def _process_answer(self, answer: Message) -> None:
         request = self._sent.pop(answer["id"], None)
         if request is not None:
             request.reply.error = answer.get("error", "")
@@ -277,7 +277,7 @@ class RemoteDrive:
         self._command("trip", reason=reason)
         return False
 
-    def _command(self, do: str, **values: Any) -> Reply:
+    def _command(self, do: str, **values: object) -> Reply:
         if do == "energise":
             until_ns = elapsed_ns() + round(self._parameters.read_timeout_s + COMES_WITHIN_S) * NS_PER_S
             values["until_boot_ns"] = until_ns
