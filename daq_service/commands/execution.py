@@ -17,7 +17,7 @@ from dataclasses import replace
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import CommandRow, CommandState
-from daq_service.clock import SimulatedClock
+from daq_service.clock import MACHINE, MachineClock, SimulatedClock
 from daq_service.commands.deadline import expired_reason, remaining_now_s, with_expiry
 from daq_service.commands.kinds import Command, Facts
 from daq_service.commands.registry import KINDS, parse_command
@@ -58,15 +58,14 @@ class CommandExecutor:
         test: RunningTest,
         *,
         listen_every_s: float = LISTEN_EVERY_S,
-        mono_ns: Callable[[], int] = time.monotonic_ns,
+        machine: MachineClock = MACHINE,
         left_s: Callable[[CommandRow], float] = remaining_now_s,
         adopt: Callable[[], None] = lambda: None,
     ) -> None:
         self._catalogue = catalogue
         self._test = test
         self._listen_every_ns = round(listen_every_s * NS_PER_S)
-        self._mono_ns = mono_ns
-        self._left_s, self._adopt = left_s, adopt
+        self._machine, self._left_s, self._adopt = machine, left_s, adopt
         self._has_started = False
         self._listened_ns: int | None = None
         self._answers: dict[int, Answer] = {}
@@ -95,7 +94,7 @@ class CommandExecutor:
     def listen(self) -> None:
         """Execute the waiting commands; a rejected one is answered with the reason."""
         self.begin()
-        now_ns = self._mono_ns()
+        now_ns = self._machine.mono_ns()
         if self._listened_ns is not None and now_ns - self._listened_ns < self._listen_every_ns:
             return
         self._listened_ns = now_ns

@@ -18,7 +18,7 @@ from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow, EventRow
-from daq_service.clock import SimulatedClock, WallClock
+from daq_service.clock import MachineClock, SimulatedClock, WallClock
 from daq_service.commands.execution import CommandExecutor
 from daq_service.commands.running_test import RunningTest
 from daq_service.recording.cost import Cost
@@ -90,7 +90,7 @@ class Bench:
             self.catalogue,
             test,
             listen_every_s=0.2,
-            mono_ns=lambda: self.now_ns,
+            machine=MachineClock(mono_ns=lambda: self.now_ns),
             left_s=lambda row: self.left_s,
         )
         if begin:
