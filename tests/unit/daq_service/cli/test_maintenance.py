@@ -211,7 +211,7 @@ def notify_three(folder):
     ("write_three", "kind", "file", "remedy"),
     [
         (audit_three, "audit", "audit.jsonl", "keep it, and look at a backup"),
-        (notify_three, "notifications", "notifications.jsonl", "a message may go out once more"),
+        (notify_three, "notifications", "notifications.jsonl", "a message may be repeated"),
     ],
 )
 @pytest.mark.parametrize(
