@@ -39,6 +39,7 @@ def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: P
         "daq_service/cli/groups/commands.toml",
         "daq_service/cli/set_up/services/record.service",
         "daq_service/cli/set_up/services/task.xml",
+        "daq_service/cli/set_up/heads/setup.txt",
         "daq_service/config/simulated.toml",
         "daq_service/config/laboratory.toml",
         "daq_service/config/settings.schema.json",
