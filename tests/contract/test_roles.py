@@ -76,7 +76,7 @@ def filled_in(path):
 
 
 def test_every_operation_and_every_kind_of_order_has_a_role():
-    """A new one is one line of `daq_service/web/auth/roles.py`."""
+    """A new one is one line of `daq_service/web/auth/roles.toml`."""
     resources = (*RESOURCES, *OF_SEVERAL)
     routes = {operation_of(route) for resource in resources for route in resource.router.routes}
     assert (CALLS.keys() | routes) - OPERATIONS.keys() == set()
