@@ -103,6 +103,7 @@ class Service(FastAPI):
             docs_url=None,
             redoc_url=None,
             default_response_class=JsonAnswer,
+            generate_unique_id_function=lambda route: route.name,  # the function, as in the table of roles
             **options,
         )
         problem.install(self)

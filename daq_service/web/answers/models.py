@@ -11,11 +11,17 @@ from typing import Any, Literal, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
+from daq_service.alarms import guidance
 from daq_service.assessment.position_status import PositionStatus
 from daq_service.catalogue import rows
-from daq_service.catalogue.rows import Priority, Quality, ReadingQuality, SupplyState
-from daq_service.commands.audit import Result
-from daq_service.processes.notifications.delivery_log import DeliveryKind
+from daq_service.catalogue.published_columns import PublishedColumn
+from daq_service.catalogue.rows import Priority, Quality
+from daq_service.commands import audit
+from daq_service.corrosion_drive.supply_state import SupplyStatus
+from daq_service.processes.disk_policy import Outlook
+from daq_service.processes.notifications.delivery_log import Delivery
+from daq_service.processes.notifications.receiver import State
+from daq_service.processes.recorder_state import RecorderStatus
 from daq_service.web.answers.problem import MEDIA_TYPE, ProblemDetails
 from daq_service.web.answers.vocabulary import VOCABULARY
 from hardware_drivers.methods import Method
@@ -48,16 +54,17 @@ class Answer(BaseModel):
     model_config = ConfigDict(extra="forbid")
 
 
-def _of_row(kind: type[rows.Row]) -> Callable[[type[A]], type[A]]:
-    """Return a decorator that adds the columns of a catalogue row and its age to an answer.
+def _of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
+    """Return a decorator that adds the fields of a dataclass, such as a catalogue row, to an answer.
 
-    ``*_utc_ns`` leaves as RFC 3339 text ``*_utc``; the hour ``due_h`` brings its ``due_utc``.
+    ``*_utc_ns`` leaves as RFC 3339 text ``*_utc``; the hour ``due_h`` brings its ``due_utc``, and an hour of
+    the data their age.
     """
 
     def derive(answer: type[A]) -> type[A]:
         fields: dict[str, Any] = {}
         for column in rows.columns_of(kind):
-            if column.name == "due_utc_ns":
+            if column.name in ("due_utc_ns", *without):
                 continue
             if column.name == "due_h":
                 fields |= {"due_h": (float, ...), "due_utc": (str, ...)}
@@ -84,37 +91,37 @@ class AsOf(Answer):
     now_h: float
     last_write_wall_utc: str | None
     wall_age_s: float | None
-    recorder: Literal["running", "finished", "stopped", "not_responding", "not_started"]
+    recorder: RecorderStatus
 
 
-@_of_row(rows.SetRow)
+@_of(rows.SetRow)
 class SetRow(Answer):
     """One set of one position."""
 
 
-@_of_row(rows.ShotRow)
+@_of(rows.ShotRow)
 class ShotRow(Answer):
     """One stored shot."""
 
 
-@_of_row(rows.FeatureRow)
+@_of(rows.FeatureRow)
 class FeatureRow(Answer):
     """Features of a shot, or of a set (shot_index null): mean of its valid shots."""
 
 
-@_of_row(rows.ThicknessRow)
+@_of(rows.ThicknessRow)
 class ThicknessRow(Answer):
     """Pulse-echo result of a set."""
 
 
-@_of_row(rows.AssessmentRow)
+@_of(rows.AssessmentRow)
 class AssessmentRow(Answer):
     """Result of the novelty detection of a set."""
 
     quality: Quality | None
 
 
-@_of_row(rows.BaselineRow)
+@_of(rows.BaselineRow)
 class BaselineRow(Answer):
     """Baseline; the first, still collecting one of a position has its future id."""
 
@@ -183,7 +190,7 @@ class AlarmEvidence(BaseModel):
     extractor_version: str | None = None
 
 
-@_of_row(rows.AlarmRow)
+@_of(rows.AlarmRow)
 class AlarmRow(Answer):
     """Alarm with its evidence."""
 
@@ -191,7 +198,7 @@ class AlarmRow(Answer):
     evidence_sentences: list[str]
 
 
-@_of_row(rows.CommandRow)
+@_of(rows.CommandRow)
 class CommandRow(Answer):
     """Command of an operator and its result."""
 
@@ -263,15 +270,11 @@ class AlarmHistory(Answer):
     items: list[AlarmTransition]
 
 
+@_of(guidance.Guidance)
 class Guidance(Answer):
     """Guidance for a kind of alarm."""
 
     kind: str
-    meaning: str
-    limitations: str
-    checks: list[str]
-    short: str
-    contact: str
 
 
 class GuidanceList(Answer):
@@ -280,7 +283,7 @@ class GuidanceList(Answer):
     items: list[Guidance]
 
 
-@_of_row(rows.AnnotationRow)
+@_of(rows.AnnotationRow)
 class AnnotationRow(Answer):
     """Annotation of an hour of the test, or of a range."""
 
@@ -294,7 +297,7 @@ class AnnotationPage(Page):
     items: list[AnnotationRow]
 
 
-@_of_row(rows.EnvironmentRow)
+@_of(rows.EnvironmentRow)
 class EnvironmentRow(Answer):
     """Supply and climate around a set; null where there was no reading."""
 
@@ -305,18 +308,9 @@ class EnvironmentPage(Page):
     items: list[EnvironmentRow]
 
 
+@_of(SupplyStatus)
 class SupplyNow(Answer):
     """Present status of the supply, from the supply process, also without a recorder."""
-
-    state: SupplyState
-    quality: ReadingQuality
-    last: SupplyState
-    age_s: float | None
-    tripped: str | None
-    unwatched: bool
-    switch_off_pending: bool
-    written_age_s: float
-    process: bool | None
 
 
 class EnvironmentNow(Answer):
@@ -327,12 +321,9 @@ class EnvironmentNow(Answer):
     supply_now: SupplyNow | None
 
 
+@_of(PublishedColumn, "nullable")
 class TableColumn(Answer):
     """A column of an exported table."""
-
-    name: str
-    form: Literal["number", "integer", "truth", "time", "text", "nested"]
-    unit: str
 
 
 class TableInfo(Answer):
@@ -509,21 +500,16 @@ class Liveness(Answer):
 class RecorderHealth(Answer):
     """Status and heartbeat of the recorder."""
 
-    state: Literal["running", "finished", "stopped", "not_responding", "not_started"]
+    state: RecorderStatus
     description: str
     doing: str | None
     beat_age_s: float | None
     deadline_s: float | None
 
 
+@_of(Outlook)
 class DiskOutlook(Answer):
     """Forecast of the disk space; null: unknown before the first set file."""
-
-    free_bytes: int
-    total_bytes: int
-    level: Literal["ample", "warn", "alarm", "stop"]
-    needed_bytes: int | None
-    full_at_h: float | None
 
 
 class ServiceHealth(Answer):
@@ -700,20 +686,11 @@ class TokenList(Answer):
     items: list[TokenEntry]
 
 
+@_of(audit.AuditEntry)
 class AuditEntry(Answer):
     """Entry of the audit log."""
 
     id: int
-    utc: str
-    who: str
-    role: str
-    source: str
-    what: str
-    arguments: dict[str, Any]
-    result: Result
-    why: str
-    command_id: int | None
-    left_out: int
     outcome: str | None
 
 
@@ -734,6 +711,7 @@ class HeartbeatState(Answer):
     next_utc: str | None
 
 
+@_of(State, "heartbeat_result", "last_heartbeat_utc_ns", "next_heartbeat_utc_ns")
 class ReceiverState(Answer):
     """State of a receiver of notifications; counts are since the start of the service."""
 
@@ -742,17 +720,7 @@ class ReceiverState(Answer):
     address: str
     rules: list[int]
     state: Literal["idle", "waiting", "failing", "dead"]
-    began: str
-    sent: int
-    failed: int
-    gave_up: int
-    waiting: int
-    last_sent_utc: str | None
     last_sent_age_s: float | None
-    last_failure_utc: str | None
-    last_failure: str
-    failing_since_utc: str | None
-    next_attempt_utc: str | None
     heartbeat: HeartbeatState | None
 
 
@@ -774,17 +742,11 @@ class TrialResult(Answer):
     took_s: float
 
 
+@_of(Delivery, "place")
 class DeliveryEntry(Answer):
     """Line of the delivery log."""
 
     id: int
-    utc: str
-    receiver: str
-    what: DeliveryKind
-    result: str
-    event_ids: list[int]
-    key: str
-    attempts: int
 
 
 class DeliveryPage(Answer):

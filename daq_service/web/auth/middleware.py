@@ -204,7 +204,7 @@ class AuthenticationMiddleware:
 
         await self._app(scope, receive, send_observed if _writes(scope) else send)
         if 422 in statuses:
-            what = getattr(scope.get("route"), "operation_id", None) or "enter"
+            what = getattr(scope.get("route"), "name", None) or "enter"
             await self._policy.audit_rejection(scope, "the request was not valid", what=what)
 
 

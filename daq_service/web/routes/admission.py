@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from typing import Annotated, Any
 
 from fastapi import Depends
-from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection
 
 from daq_service.commands.audit import Result
@@ -28,11 +27,6 @@ async def _person_dependency(connection: HTTPConnection) -> Person:
 PersonOf = Annotated[Person, Depends(_person_dependency)]
 
 
-def operation_of(route: Any) -> str:
-    """Return the name of an operation in the table of roles."""
-    return str((isinstance(route, APIRoute) and route.operation_id) or route.name)
-
-
 async def admit(connection: HTTPConnection) -> None:
     """Check that the role allows an operation; a dependency of every route of the API.
 
@@ -41,7 +35,7 @@ async def admit(connection: HTTPConnection) -> None:
     Problem
         401: not logged in. 403: the role is too low.
     """
-    operation = operation_of(connection.scope["route"])
+    operation: str = connection.scope["route"].name
     needed = OPERATIONS.get(operation, "admin")
     if needed is not None:
         person = person_at(connection)

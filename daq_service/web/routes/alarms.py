@@ -16,7 +16,7 @@ from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import HOURS, POSITION, add_listing
 
 router = APIRouter(tags=["alarms"])
-ERRORS = models.problems(404, 422, 503)
+ERRORS = models.problems(404, 503)
 ACTIVE = Annotated[bool | None, Query(description="true: not closed; false: closed; absent: all")]
 add_listing(
     router,
@@ -35,7 +35,7 @@ add_listing(
 )
 
 
-@router.get("/alarms/{alarm_id}", operation_id="get_alarm", response_model=models.AlarmRow, responses=ERRORS)
+@router.get("/alarms/{alarm_id}", response_model=models.AlarmRow, responses=ERRORS)
 def get_alarm(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
     """Return one alarm with its evidence."""
     row = context.catalogue().alarm(alarm_id)
@@ -44,12 +44,7 @@ def get_alarm(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: Cont
     return JsonAnswer(context.freshness().row(row))
 
 
-@router.get(
-    "/alarms/{alarm_id}/history",
-    operation_id="get_alarm_history",
-    response_model=models.AlarmHistory,
-    responses=ERRORS,
-)
+@router.get("/alarms/{alarm_id}/history", response_model=models.AlarmHistory, responses=ERRORS)
 def get_alarm_history(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
     """Return every transition of an alarm, the oldest first, with time, person and reason."""
     catalogue, fresh = context.catalogue(), context.freshness()

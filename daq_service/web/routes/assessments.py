@@ -37,12 +37,7 @@ add_listing(
 )
 
 
-@router.get(
-    "/baselines",
-    operation_id="list_baselines",
-    response_model=BaselineList,
-    responses=problems(404, 422, 503),
-)
+@router.get("/baselines", response_model=BaselineList, responses=problems(404, 503))
 def list_baselines(context: ContextOf, position: PositionFilter = None) -> JsonAnswer:
     """List the baselines of each position, the newest last: lifecycle, statistics, limits, provenance."""
     if position is not None:

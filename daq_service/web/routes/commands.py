@@ -61,11 +61,11 @@ ExecuteOf = Annotated[ExecuteCommand, Depends(_execute_dependency)]
 ACCEPTS: Any = {
     "status_code": 202,
     "response_model": CommandRow,
-    "responses": problems(400, 403, 404, 409, 413, 422, 503),
+    "responses": problems(400, 403, 404, 409, 413, 503),
 }
 
 
-@router.post("/commands", operation_id="create_command", **ACCEPTS)
+@router.post("/commands", **ACCEPTS)
 def create_command(command: AnyCommand, execute: ExecuteOf) -> Response:
     """Store a command; the recorder executes it within 60 s, or it expires (see its `state`).
 
@@ -75,7 +75,7 @@ def create_command(command: AnyCommand, execute: ExecuteOf) -> Response:
     return execute(command)
 
 
-@router.post("/alarms/{alarm_id}/acknowledge", operation_id="acknowledge_alarm", **ACCEPTS)
+@router.post("/alarms/{alarm_id}/acknowledge", **ACCEPTS)
 def acknowledge_alarm(
     alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], body: Acknowledgement, execute: ExecuteOf
 ) -> Response:
@@ -84,12 +84,7 @@ def acknowledge_alarm(
     return execute(AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
 
 
-@router.get(
-    "/commands/{command_id}",
-    operation_id="get_command",
-    response_model=CommandRow,
-    responses=problems(404, 422, 503),
-)
+@router.get("/commands/{command_id}", response_model=CommandRow, responses=problems(404, 503))
 def get_command(command_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
     """Return a command with its state and result."""
     return JsonAnswer(_row(context, command_id))

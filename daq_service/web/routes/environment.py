@@ -24,12 +24,7 @@ add_listing(
 )
 
 
-@router.get(
-    "/environment/latest",
-    operation_id="get_latest_environment",
-    response_model=EnvironmentNow,
-    responses=problems(503),
-)
+@router.get("/environment/latest", response_model=EnvironmentNow, responses=problems(503))
 def get_latest_environment(context: ContextOf) -> JsonAnswer:
     """Return the newest row, and the present status of the supply; null where there is none."""
     fresh = context.freshness()

@@ -24,13 +24,12 @@ _BINARY = {"schema": {"type": "string", "format": "binary"}}
 @router.head("/files/{name}", include_in_schema=False)
 @router.get(
     "/files/{name}",
-    operation_id="get_file",
     response_class=Response,
     responses={
         200: {"content": {HDF5: _BINARY}},
         206: {"description": "The range that was asked for.", "content": {HDF5: _BINARY}},
         304: {"description": "The client's copy, named by If-None-Match, is the file."},
-        **problems(404, 416, 422, 503),
+        **problems(404, 416, 503),
     },
 )
 def get_file(

@@ -17,12 +17,7 @@ from daq_service.web.routes.trends import checked_fields, unit_of
 router = APIRouter(tags=["trends"])
 
 
-@router.get(
-    "/fits/{position}",
-    operation_id="get_fit",
-    response_model=Fit,
-    responses=problems(404, 422, 503),
-)
+@router.get("/fits/{position}", response_model=Fit, responses=problems(404, 503))
 def get_fit(
     context: ContextOf,
     position: str,

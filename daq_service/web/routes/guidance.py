@@ -13,7 +13,7 @@ from daq_service.web.answers.models import GuidanceList
 router = APIRouter(tags=["alarms"])
 
 
-@router.get("/guidance", operation_id="list_guidance", response_model=GuidanceList)
+@router.get("/guidance", response_model=GuidanceList)
 def list_guidance() -> JsonAnswer:
     """List for each kind of alarm its meaning, limitations, checks and contact."""
     return JsonAnswer({"items": [{"kind": kind, **asdict(guidance)} for kind, guidance in GUIDANCE.items()]})

@@ -116,10 +116,9 @@ def add_listing(
     listing.__doc__ = description
     router.get(
         f"/{resource}",
-        operation_id=f"list_{resource}",
         name=f"list_{resource}",
         response_model=page,
-        responses=problems(404, 422, 503) if "position" in filters else problems(422, 503),
+        responses=problems(404, 503) if "position" in filters else problems(503),
     )(listing)
 
 

@@ -40,12 +40,7 @@ OPENMETRICS: dict[int | str, dict[str, object]] = {
 }
 
 
-@probes.get(
-    "/metrics",
-    operation_id="get_metrics",
-    response_class=Response,
-    responses=OPENMETRICS,
-)
+@probes.get("/metrics", response_class=Response, responses=OPENMETRICS)
 def get_metrics(request: Request, context: ContextOf) -> Response:
     """Return state, age and newest values of positions, and metrics of alarms, recorder, disk and service."""
     return exposition(chain(of_service(), of_clients(context), of_test(context)), request)

@@ -24,9 +24,8 @@ MOST_BYTES = 32_000_000
 
 @router.get(
     "/waveforms/{position}",
-    operation_id="get_waveforms",
     response_class=Response,
-    responses={200: {"content": FILES}, **problems(404, 422, 503)},
+    responses={200: {"content": FILES}, **problems(404, 503)},
 )
 def get_waveforms(
     request: Request,

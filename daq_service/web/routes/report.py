@@ -22,11 +22,10 @@ _making = threading.Lock()
 
 @router.get(
     "/report",
-    operation_id="get_report",
     response_class=Response,
     responses={
         200: {"content": {"text/html": {"schema": {"type": "string"}}}},
-        **problems(422, 503),
+        **problems(503),
     },
 )
 def get_report(

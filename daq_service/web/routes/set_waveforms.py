@@ -29,12 +29,11 @@ router = APIRouter(tags=["waveforms"])
 
 @router.get(
     "/sets/{position}/{set_index}/waveforms",
-    operation_id="get_set_waveforms",
     response_class=Response,
     responses={
         200: {"content": {OCTET_STREAM: {"schema": {"type": "string", "format": "binary"}}}},
         304: UNCHANGED,
-        **problems(404, 422, 503),
+        **problems(404, 503),
     },
 )
 def get_set_waveforms(

@@ -24,12 +24,7 @@ add_listing(
 )
 
 
-@router.get(
-    "/sets/{position}/{set_index}/shots",
-    operation_id="list_shots",
-    response_model=ShotPage,
-    responses=problems(404, 422, 503),
-)
+@router.get("/sets/{position}/{set_index}/shots", response_model=ShotPage, responses=problems(404, 503))
 def list_shots(
     context: ContextOf, position: str, set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)]
 ) -> JsonAnswer:

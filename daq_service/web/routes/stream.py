@@ -43,10 +43,9 @@ RETRY_MS = 1000
 
 @router.get(
     "/stream",
-    operation_id="stream_events",
     summary="Events as they are committed (server-sent events)",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}, **problems(422, 503)},
+    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}, **problems(503)},
 )
 async def stream_events(
     context: ContextOf,

@@ -34,7 +34,7 @@ Form = Annotated[
 ]
 
 
-@router.get("/tables", operation_id="list_tables", response_model=TableList)
+@router.get("/tables", response_model=TableList)
 def list_tables() -> JsonAnswer:
     """List the tables, their columns with units, and the formats that this installation writes."""
     items = [
@@ -49,10 +49,7 @@ def list_tables() -> JsonAnswer:
 
 
 @router.get(
-    "/tables/{table}",
-    operation_id="get_table",
-    response_class=Response,
-    responses={200: {"content": FILES}, **problems(404, 422, 503)},
+    "/tables/{table}", response_class=Response, responses={200: {"content": FILES}, **problems(404, 503)}
 )
 def get_table(
     request: Request,

@@ -18,12 +18,7 @@ from daq_service.web.routes.assessments import with_quality
 router = APIRouter(tags=["transducers"])
 
 
-@router.get(
-    "/transducers",
-    operation_id="list_transducers",
-    response_model=PositionList,
-    responses=problems(503),
-)
+@router.get("/transducers", response_model=PositionList, responses=problems(503))
 def list_transducers(context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of every position."""
     fresh = context.freshness()
@@ -32,12 +27,7 @@ def list_transducers(context: ContextOf) -> JsonAnswer:
     return JsonAnswer({"as_of": fresh.as_of(), "items": items})
 
 
-@router.get(
-    "/transducers/{position}",
-    operation_id="get_transducer",
-    response_model=PositionState,
-    responses=problems(404, 422, 503),
-)
+@router.get("/transducers/{position}", response_model=PositionState, responses=problems(404, 503))
 def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of one position."""
     context.checked_position(position)

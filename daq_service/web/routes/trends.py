@@ -69,12 +69,7 @@ def checked_fields(method: str, fields: str | None, *, known: Sequence[str]) -> 
     return chosen
 
 
-@router.get(
-    "/trends/{position}",
-    operation_id="get_trend",
-    response_model=Trend,
-    responses=problems(404, 422, 503),
-)
+@router.get("/trends/{position}", response_model=Trend, responses=problems(404, 503))
 def get_trend(
     context: ContextOf,
     position: str,

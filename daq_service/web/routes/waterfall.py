@@ -48,13 +48,12 @@ Seconds = Annotated[
 
 @router.get(
     "/waterfall/{position}",
-    operation_id="get_waterfall",
     response_model=Waterfall,
     responses={
         200: {"content": {OCTET_STREAM: {"schema": {"type": "string", "format": "binary"}}}},
         204: {"description": "No record of the position is stored; /api/v1/sets tells why"},
         304: UNCHANGED,
-        **problems(404, 422, 503),
+        **problems(404, 503),
     },
 )
 def get_waterfall(

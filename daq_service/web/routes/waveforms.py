@@ -33,14 +33,13 @@ NPY = "application/x-npy"
 MOST_POINTS = 100_000
 LOOK_AT_TOKEN_S = 5.0
 """Interval of checks of the token, also without a new figure."""
-ERRORS = problems(404, 422, 503)
+ERRORS = problems(404, 503)
 UNCHANGED = {"description": "The client's copy, named by If-None-Match, is the record."}
 _BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
 @router.get(
     "/waveforms/live/{position}",
-    operation_id="get_live_waveform",
     response_class=Response,
     responses={200: {"content": {OCTET_STREAM: _BINARY}}, **ERRORS},
 )
@@ -68,7 +67,6 @@ def get_live_waveform(position: str, context: ContextOf) -> Response:
 
 @router.get(
     "/waveforms/{position}/{set_index}/{shot_index}",
-    operation_id="get_waveform",
     response_model=WaveformAnswer,
     responses={200: {"content": {NPY: _BINARY, OCTET_STREAM: _BINARY}}, 304: UNCHANGED, **ERRORS},
 )
