@@ -49,9 +49,7 @@ def get_readiness(request: Request) -> JsonAnswer:
     entries = _listing(request).entries()
     if not any(entry["state"] == "shown" for entry in entries):
         raise Problem(
-            503,
             "no-data-yet",
-            "No data yet",
             f"None of {len(entries)} tests can be shown.",
             "/api/v1/tests says why of each, and what helps.",
         )

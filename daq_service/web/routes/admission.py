@@ -49,13 +49,7 @@ async def admit(connection: HTTPConnection) -> None:
 
 def role_too_low(person: Person, operation: str, needed: Role) -> Problem:
     """Return the problem that a higher role is needed (403)."""
-    return Problem(
-        403,
-        "role-too-low",
-        "Your role does not allow this",
-        f"{operation} needs the role {needed}; {person.name} is {person.role}.",
-        "Ask somebody with that role, or an administrator for another token.",
-    )
+    return Problem("role-too-low", f"{operation} needs the role {needed}; {person.name} is {person.role}.")
 
 
 def write_audit_entry(

@@ -80,10 +80,4 @@ def _check_range(byte_range: str, n_bytes: int) -> None:
     first, last = match.groups() if match else ("", "")
     is_valid = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)
     if not is_valid:
-        raise Problem(
-            416,
-            "range-not-satisfiable",
-            "There is no such range",
-            f"Range is {byte_range[:60]!r}; the file has {n_bytes} bytes.",
-            "Ask for one range, such as bytes=0-1023 or bytes=-1024, or for the whole file.",
-        )
+        raise Problem("range-not-satisfiable", f"Range is {byte_range[:60]!r}; the file has {n_bytes} bytes.")

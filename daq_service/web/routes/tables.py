@@ -115,11 +115,8 @@ def alone(make: Callable[[], bytes]) -> bytes:
     """
     if not _making.acquire(blocking=False):
         raise Problem(
-            503,
             "too-many-exports",
-            "Other exports are being made",
             f"{AT_ONCE} files that hold all their rows are being made, and no more at once.",
-            "Ask again in a moment, or take a table as csv.",
         )
     try:
         return make()
