@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -22,6 +24,13 @@ class JsonAnswer(JSONResponse):
     def render(self, content: object) -> bytes:
         """Return the content as JSON bytes."""
         return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
+
+
+def framed(header: object, *parts: bytes) -> bytes:
+    """Return the u32 length of a header, its JSON, padded to a multiple of 8 bytes, and the parts."""
+    text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-(4 + len(text)) % 8)
+    return b"".join([struct.pack("<I", len(text)), text, *parts])
 
 
 def rfc3339(utc_ns: int | None) -> str | None:

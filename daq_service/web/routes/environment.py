@@ -1,4 +1,4 @@
-"""`/api/v1/environment`: supply and climate around the sets."""
+"""`/api/v1/environment/latest`: newest values of supply and climate, and the supply now."""
 
 from __future__ import annotations
 
@@ -6,22 +6,12 @@ from dataclasses import asdict
 
 from fastapi import APIRouter
 
-from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.corrosion_drive.supply_state import read_supply_status
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import EnvironmentNow, EnvironmentPage, problems
+from daq_service.web.answers.models import EnvironmentNow, problems
 from daq_service.web.context import ContextOf
-from daq_service.web.routes.listing import HOURS, add_listing
 
 router = APIRouter(tags=["environment"])
-add_listing(
-    router,
-    "environment",
-    EnvironmentRow,
-    EnvironmentPage,
-    "List supply and climate, one row a set; no rows where neither is configured.",
-    HOURS,
-)
 
 
 @router.get("/environment/latest", response_model=EnvironmentNow, responses=problems(503))

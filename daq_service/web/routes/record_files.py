@@ -8,11 +8,10 @@ from fastapi import APIRouter, Query, Request
 from starlette.responses import Response
 
 from daq_service.errors import UsageError
-from daq_service.web.answers.models import problems
 from daq_service.web.answers.problem import invalid, not_found
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import LARGEST_INDEX, FromHour, ToHour
-from daq_service.web.routes.tables import FILES, Form, accepted, alone
+from daq_service.web.routes.tables import EXPORTS, Form, accepted, alone
 from daq_service.web.tables.formats import FORMATS
 from daq_service.web.tables.record_formats import exported_records
 from daq_service.web.tables.records import NoRecordError, RecordChoice, read_slice
@@ -25,7 +24,7 @@ MOST_BYTES = 32_000_000
 @router.get(
     "/waveforms/{position}",
     response_class=Response,
-    responses={200: {"content": FILES}, **problems(404, 503)},
+    responses=EXPORTS,
 )
 def get_waveforms(
     request: Request,

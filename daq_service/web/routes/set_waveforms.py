@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Path, Request
@@ -16,12 +14,13 @@ from analysis.waves.record_reduction import ExtractionSettings
 from daq_service.archive import SetNotFoundError, SetReference
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
-from daq_service.web.answers.models import problems
+from daq_service.web.answers.json_answer import framed
+from daq_service.web.answers.models import UNCHANGED, files, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import LARGEST_INDEX
-from daq_service.web.routes.waveforms import OCTET_STREAM, UNCHANGED
+from daq_service.web.routes.waveforms import OCTET_STREAM, little_endian
 from hardware_drivers.methods import SOLITARY_WAVE
 
 router = APIRouter(tags=["waveforms"])
@@ -30,11 +29,7 @@ router = APIRouter(tags=["waveforms"])
 @router.get(
     "/sets/{position}/{set_index}/waveforms",
     response_class=Response,
-    responses={
-        200: {"content": {OCTET_STREAM: {"schema": {"type": "string", "format": "binary"}}}},
-        304: UNCHANGED,
-        **problems(404, 503),
-    },
+    responses=files(OCTET_STREAM) | UNCHANGED | problems(404, 503),
 )
 def get_set_waveforms(
     request: Request,
@@ -90,13 +85,7 @@ def get_set_waveforms(
             for record in records
         ],
     }
-    text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
-    text += b" " * (-(4 + len(text)) % 8)
-    samples = [
-        record.waveform.counts.astype(record.waveform.counts.dtype.newbyteorder("<"), copy=False).tobytes()
-        for record in records
-    ]
-    content = b"".join([struct.pack("<I", len(text)), text, *samples])
+    content = framed(header, *(little_endian(record.waveform) for record in records))
     return Response(content, media_type=OCTET_STREAM, headers=headers)
 
 

@@ -12,7 +12,7 @@ from starlette.responses import Response, StreamingResponse
 
 from daq_service.errors import UsageError
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import TableList, problems
+from daq_service.web.answers.models import TableList, files, problems
 from daq_service.web.answers.problem import Problem, invalid, not_found
 from daq_service.web.context import ContextOf
 from daq_service.web.routes.listing import FromHour, PositionFilter, PurposeFilter, ToHour, last_hour
@@ -25,9 +25,8 @@ MOST_ROWS = 100_000
 """Limit of rows: some 50 MB while a file of all rows is created."""
 AT_ONCE = 2
 _making = threading.BoundedSemaphore(AT_ONCE)
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
-FILES = {kind.media_type: _BINARY for kind in FORMATS.values()}
-"""Media types of exported files for OpenAPI."""
+EXPORTS = files(*(kind.media_type for kind in FORMATS.values())) | problems(404, 503)
+"""Exported files for OpenAPI."""
 Form = Annotated[
     Literal["csv", "parquet", "arrow", "npz", "mat", "h5"] | None,
     Query(alias="format", description="Absent: by the header Accept, else csv"),
@@ -48,9 +47,7 @@ def list_tables() -> JsonAnswer:
     return JsonAnswer({"formats": available(), "items": items})
 
 
-@router.get(
-    "/tables/{table}", response_class=Response, responses={200: {"content": FILES}, **problems(404, 503)}
-)
+@router.get("/tables/{table}", response_class=Response, responses=EXPORTS)
 def get_table(
     request: Request,
     context: ContextOf,

@@ -13,7 +13,7 @@ from daq_service.catalogue.rows import Row
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
 from daq_service.web.answers.models import PositionList, PositionState, problems
 from daq_service.web.context import Context, ContextOf, Freshness
-from daq_service.web.routes.assessments import with_quality
+from daq_service.web.routes.row_listings import with_quality
 
 router = APIRouter(tags=["transducers"])
 

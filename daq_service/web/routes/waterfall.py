@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
-import struct
 from collections.abc import Mapping
 from typing import Annotated, Any, Literal
 
@@ -21,13 +19,13 @@ from daq_service.assessment.results_in_file import results_in
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import AssessmentRow, SetRow
-from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import Waterfall, problems
+from daq_service.web.answers.json_answer import JsonAnswer, framed
+from daq_service.web.answers.models import UNCHANGED, Waterfall, files, problems
 from daq_service.web.answers.problem import invalid, not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
-from daq_service.web.routes.waveforms import OCTET_STREAM, UNCHANGED
+from daq_service.web.routes.waveforms import OCTET_STREAM
 from hardware_drivers.methods import PULSE_ECHO
 
 router = APIRouter(tags=["waveforms"])
@@ -49,12 +47,10 @@ Seconds = Annotated[
 @router.get(
     "/waterfall/{position}",
     response_model=Waterfall,
-    responses={
-        200: {"content": {OCTET_STREAM: {"schema": {"type": "string", "format": "binary"}}}},
-        204: {"description": "No record of the position is stored; /api/v1/sets tells why"},
-        304: UNCHANGED,
-        **problems(404, 503),
-    },
+    responses=files(OCTET_STREAM)
+    | {204: {"description": "No record of the position is stored; /api/v1/sets tells why"}}
+    | UNCHANGED
+    | problems(404, 503),
 )
 def get_waterfall(
     request: Request,
@@ -143,21 +139,15 @@ def get_waterfall(
         "pending_sets": picture.pending + baseline_pending,
         "unreadable_sets": picture.unreadable,
     }
-    header_bytes = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
-    samples = planes.astype("<f4", copy=False).tobytes()
-    etag = f'"{hashlib.blake2b(header_bytes + samples, digest_size=16).hexdigest()}-{form}"'
+    content = framed(header, planes.astype("<f4", copy=False).tobytes())
+    etag = f'"{hashlib.blake2b(content, digest_size=16).hexdigest()}-{form}"'
     headers, not_modified = unchanged(request, etag)
     if not_modified is not None:
         return not_modified
     if form == "json":
         extremes = {"minimum": _nested_lists(planes[0]), "maximum": _nested_lists(planes[1])}
         return JsonAnswer({**header, **extremes}, headers=headers)
-    header_bytes += b" " * (-(4 + len(header_bytes)) % 8)
-    return Response(
-        struct.pack("<I", len(header_bytes)) + header_bytes + samples,
-        media_type=OCTET_STREAM,
-        headers=headers,
-    )
+    return Response(content, media_type=OCTET_STREAM, headers=headers)
 
 
 class _CatalogueIndex:
