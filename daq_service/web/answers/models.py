@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import GenericAlias
-from typing import Any, Literal, TypeVar, cast
+from typing import Any, Generic, Literal, TypeVar, cast
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
 
@@ -217,23 +217,36 @@ class CommandRow(Answer):
     expires_in_s: float | None
 
 
-class Page(Answer):
+class Page(Answer, Generic[A]):
     """Frame of every listing."""
 
     as_of: AsOf
     next_cursor: str | None
+    items: list[A]
 
 
-def _page(name: str, row: type[Answer], description: str) -> type[Page]:
-    return create_model(name, __base__=Page, __doc__=description, items=(GenericAlias(list, (row,)), ...))
+class SetPage(Page[SetRow]):
+    """Sets in order."""
 
 
-SetPage = _page("SetPage", SetRow, "Sets in order.")
-ShotPage = _page("ShotPage", ShotRow, "Shots in order.")
-FeaturePage = _page("FeaturePage", FeatureRow, "Features in order.")
-ThicknessPage = _page("ThicknessPage", ThicknessRow, "Pulse-echo results in order.")
-AssessmentPage = _page("AssessmentPage", AssessmentRow, "Assessments in order.")
-AlarmPage = _page("AlarmPage", AlarmRow, "Alarms in order.")
+class ShotPage(Page[ShotRow]):
+    """Shots in order."""
+
+
+class FeaturePage(Page[FeatureRow]):
+    """Features in order."""
+
+
+class ThicknessPage(Page[ThicknessRow]):
+    """Pulse-echo results in order."""
+
+
+class AssessmentPage(Page[AssessmentRow]):
+    """Assessments in order."""
+
+
+class AlarmPage(Page[AlarmRow]):
+    """Alarms in order."""
 
 
 class AlarmTransition(Answer):
@@ -279,7 +292,8 @@ class AnnotationRow(Answer):
     to_utc: str
 
 
-AnnotationPage = _page("AnnotationPage", AnnotationRow, "Annotations in order.")
+class AnnotationPage(Page[AnnotationRow]):
+    """Annotations in order."""
 
 
 @_of(rows.EnvironmentRow)
@@ -287,7 +301,8 @@ class EnvironmentRow(Answer):
     """Supply and climate around a set; null where there was no reading."""
 
 
-EnvironmentPage = _page("EnvironmentPage", EnvironmentRow, "Supply and climate in order.")
+class EnvironmentPage(Page[EnvironmentRow]):
+    """Supply and climate in order."""
 
 
 @_of(SupplyStatus)

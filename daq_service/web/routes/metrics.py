@@ -99,7 +99,7 @@ def _of_notifications(context: Context) -> Iterator[Metric]:
         failed.add_metric((queue.name,), queue.state.failed)
     yield sent
     yield failed
-    waiting = {(queue.name,): queue.state.waiting for queue in queues}
+    waiting: dict[Labels, int] = {(queue.name,): queue.state.waiting for queue in queues}
     yield _gauges("notifications_waiting", "Changes of alarms not told yet", waiting, "receiver")
 
 
@@ -132,14 +132,14 @@ def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     yield _gauge("disk_needed_bytes", "What the rest of the test takes", disk.needed_bytes)
     yield _states("disk_level", "How full the volume is", {(): disk.level}, LEVELS)
     active = map(fresh.standing, catalogue.rows(AlarmRow, active=True))
-    numbers = Counter(
+    numbers: Counter[Labels] = Counter(
         (row.kind, row.priority, row.state, row.position or "", row.suppressed or "") for row in active
     )
     labels = ("kind", "priority", "state", "position", "suppressed")
     yield _gauges("alarms_active", "Alarms that are not over", numbers, *labels)
     states = catalogue.positions_state()
     summaries = {
-        (name,): fresh.standing_word(states.get(name, LatestRows(position=name, method=place.method)))
+        name: fresh.standing_word(states.get(name, LatestRows(position=name, method=place.method)))
         for name, place in context.settings.positions.items()
     }
     yield from _of_positions(context.settings, fresh, summaries)
@@ -159,16 +159,16 @@ VALUES = (
 
 
 def _of_positions(
-    settings: Settings, fresh: Freshness, summaries: Mapping[Labels, LatestRows]
+    settings: Settings, fresh: Freshness, summaries: Mapping[str, LatestRows]
 ) -> Iterator[Metric]:
     def gauge(name: str, description: str, value: Callable[[LatestRows], float | None]) -> Metric:
-        samples = {labels: value(summary) for labels, summary in summaries.items()}
+        samples: dict[Labels, float | None] = {(place,): value(last) for place, last in summaries.items()}
         return _gauges(name, description, samples, "position")
 
     def states(
         name: str, description: str, state: Callable[[LatestRows], str | None], known: object
     ) -> Metric:
-        present = {labels: state(summary) for labels, summary in summaries.items()}
+        present: dict[Labels, str | None] = {(place,): state(last) for place, last in summaries.items()}
         return _states(name, description, present, get_args(known), "position")
 
     def age_h(last: LatestRows) -> float | None:
@@ -178,6 +178,9 @@ def _of_positions(
     def age_s(last: LatestRows) -> float | None:
         hours = age_h(last)
         return None if hours is None else S_PER_H * hours
+
+    def value_of(row: str, column: str) -> Callable[[LatestRows], float | None]:
+        return lambda last: getattr(getattr(last, row), column, None)
 
     def limit_of_row(row: str) -> Callable[[LatestRows], float | None]:
         return lambda last: None if getattr(last, row) is None else limit_of(last, settings)
@@ -191,9 +194,7 @@ def _of_positions(
     )
     yield gauge("data_age_seconds", "Age of the newest measured set on the test's clock", age_s)
     for name, description, row, column in VALUES:
-        yield gauge(
-            name, description, lambda last, row=row, column=column: getattr(getattr(last, row), column, None)
-        )
+        yield gauge(name, description, value_of(row, column))
     yield gauge("distance_squared_limit", "The limit of an outlier", limit_of_row("last_assessment"))
     yield gauge("thickness_limit_meters", "Below it the probe alarms", limit_of_row("last_thickness"))
     yield gauge("last_set_start_delay_seconds", "From when the set was due to its first strike", _delay_s)

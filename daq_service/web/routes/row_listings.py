@@ -7,6 +7,7 @@ from inspect import Parameter, Signature
 from typing import Annotated, Any, Literal, cast
 
 from fastapi import APIRouter, Path, Query
+from pydantic import BaseModel
 
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import (
@@ -25,7 +26,7 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.web.answers import cursors, models
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import Page, problems
+from daq_service.web.answers.models import problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes.listing import (
@@ -52,7 +53,7 @@ PURPOSE = {"purpose": (PurposeFilter, "planned")}
 def add_listing(
     resource: str,
     kind: type[Row],
-    page: type[Page],
+    page: type[BaseModel],
     description: str,
     filters: Mapping[str, tuple[Any, Any]],
     render_rows: Callable[[Context, Freshness, Sequence[Any]], list[dict[str, Any]]] | None = None,
