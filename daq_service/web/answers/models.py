@@ -28,6 +28,8 @@ from daq_service.web.answers.vocabulary import VOCABULARY
 from hardware_drivers.methods import Method
 
 A = TypeVar("A", bound="Answer")
+Fields = dict[str, Any]
+"""Types and defaults by name, as `create_model` takes them."""
 
 PROBLEMS: dict[int | str, dict[str, object]] = {
     status: {
@@ -74,7 +76,7 @@ def _of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
     """
 
     def derive(answer: type[A]) -> type[A]:
-        fields: dict[str, Any] = {}
+        fields: Fields = {}
         for column in rows.columns_of(kind):
             if column.name in ("due_utc_ns", *without):
                 continue
@@ -558,10 +560,10 @@ TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS)
 
 def _trend_columns() -> type[Answer]:
     of_assessment = {column.name: column for column in rows.columns_of(rows.AssessmentRow)}
-    kinds: dict[str, Any] = dict.fromkeys(TREND_FIELDS, float | None)
+    kinds: Fields = dict.fromkeys(TREND_FIELDS, float | None)
     kinds |= {name: of_assessment[name].type for name in TREND_ASSESSMENTS}
     kinds |= {"set_index": int, "due_h": float, "due_utc": str, "age_h": float, "quality": Quality | None}
-    fields: dict[str, Any] = {
+    fields: Fields = {
         name: (GenericAlias(list, (kind | None,)), Field(default_factory=list))
         for name, kind in kinds.items()
     }

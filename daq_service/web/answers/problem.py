@@ -16,7 +16,6 @@ import logging
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import orjson
 from fastapi import FastAPI, Request
@@ -113,10 +112,10 @@ def request_id(scope: Scope) -> str:
 
 
 def problem_response(
-    scope: Scope, problem: Problem, errors: Sequence[dict[str, Any]] | None = None
+    scope: Scope, problem: Problem, errors: Sequence[Mapping[str, str]] | None = None
 ) -> Response:
     """Return the response of a problem."""
-    body: dict[str, Any] = {
+    body: dict[str, object] = {
         "type": TYPE_PREFIX + problem.name,
         "title": problem.title,
         "status": problem.status,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Query
 
@@ -34,7 +34,7 @@ def get_fit(
     fresh = context.freshness()
     part = trend_part(context.catalogue(), position, name, first_h=from_h, last_h=last_hour(from_h, to_h))
     n = int(part["n"])
-    answer: dict[str, Any] = {
+    answer: dict[str, object] = {
         "position": position,
         "field": name,
         "unit": unit_of(name),

@@ -44,10 +44,12 @@ from daq_service.web.tables.baselines import published_baselines
 from daq_service.web.tables.quality import assessed_qualities
 
 router = APIRouter()
-HOURS = {"from_h": (FromHour, None), "to_h": (ToHour, None)}
-POSITION = {"position": (PositionFilter, None)}
-SET_INDEX = {"set_index": (Annotated[int | None, Query(ge=0, le=LARGEST_INDEX)], None)}
-PURPOSE = {"purpose": (PurposeFilter, "planned")}
+Parameters = dict[str, tuple[object, object]]
+"""Type and default of query parameters by name."""
+HOURS: Parameters = {"from_h": (FromHour, None), "to_h": (ToHour, None)}
+POSITION: Parameters = {"position": (PositionFilter, None)}
+SET_INDEX: Parameters = {"set_index": (Annotated[int | None, Query(ge=0, le=LARGEST_INDEX)], None)}
+PURPOSE: Parameters = {"purpose": (PurposeFilter, "planned")}
 
 
 def add_listing(
@@ -55,8 +57,8 @@ def add_listing(
     kind: type[Row],
     page: type[BaseModel],
     description: str,
-    filters: Mapping[str, tuple[Any, Any]],
-    render_rows: Callable[[Context, Freshness, Sequence[Any]], list[dict[str, Any]]] | None = None,
+    filters: Parameters,
+    render_rows: Callable[[Context, Freshness, Sequence[Any]], list[dict[str, object]]] | None = None,
 ) -> None:
     """Add a route ``/{resource}`` that lists a table in limited pages in the order of `Catalogue.rows`.
 
@@ -80,12 +82,12 @@ def add_listing(
         name = listing_name(resource, **query)
         query["after_id"] = cursors.decode(name, cursor)
         catalogue, fresh = context.catalogue(), context.freshness()
-        rows = catalogue.rows(kind, limit=limit + 1, **_filters(query))
+        rows: Sequence[Any] = catalogue.rows(kind, limit=limit + 1, **_filters(query))
         page_rows = rows[:limit]
         items = (
             render_rows(context, fresh, page_rows) if render_rows else [fresh.row(row) for row in page_rows]
         )
-        next_cursor = cursors.encode(name, items[-1]["id"]) if len(rows) > limit else None
+        next_cursor = cursors.encode(name, page_rows[-1].id) if len(rows) > limit else None
         return JsonAnswer({"as_of": fresh.as_of(), "next_cursor": next_cursor, "items": items})
 
     parameters = {**filters, "cursor": (CursorText, None), "limit": (Limit, 100)}
@@ -112,7 +114,7 @@ def add_listing(
 def _filters(query: Mapping[str, Any]) -> Filters:
     """Return query parameters as filters of the catalogue."""
     from_h, to_h = query.get("from_h"), query.get("to_h")
-    chosen: dict[str, Any] = {name: query[name] for name in query if name not in HOURS}
+    chosen: dict[str, object] = {name: query[name] for name in query if name not in HOURS}
     return cast(Filters, chosen | {"first_h": from_h, "last_h": last_hour(from_h, to_h)})
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Path, Request
 from starlette.responses import Response
@@ -13,6 +13,7 @@ from analysis.waves.quality_gate import ACCEPTED
 from analysis.waves.record_reduction import ExtractionSettings
 from daq_service.archive import SetNotFoundError, SetReference
 from daq_service.assessment.methods import METHODS
+from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.web.answers.json_answer import framed
 from daq_service.web.answers.models import UNCHANGED, files, problems
@@ -92,8 +93,8 @@ def get_set_waveforms(
 def _windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, float]]:
     """Return the search windows of a set, s from the trigger; none without a reference time."""
     catalogue, method = context.catalogue(), METHODS[set_row.method]
-    set_filters: dict[str, Any] = {"position": set_row.position, "set_index": set_row.set_index}
-    result = next(iter(catalogue.rows(method.row, **set_filters, **method.of_sets)), None)
+    filters: Filters = {"position": set_row.position, "set_index": set_row.set_index, **method.of_sets}
+    result = next(iter(catalogue.rows(method.row, **filters)), None)
     if set_row.method == SOLITARY_WAVE:
         if not isinstance(result, FeatureRow) or result.isw_time_s is None:
             return {}

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from fastapi import APIRouter
 
 from daq_service.alarms.states import PRIORITIES, retired_positions
 from daq_service.assessment.position_status import data_hour, is_stale, status_of
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import Row
+from daq_service.processes import freshness
+from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
-from daq_service.web.answers.models import PositionList, PositionState, problems
+from daq_service.web.answers.models import PositionList, PositionStanding, PositionState, problems
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes.row_listings import with_quality
 
@@ -35,22 +35,17 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     return JsonAnswer(_state(context, context.freshness(), position, state))
 
 
-def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, Any]:
+def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, object]:
     place = context.settings.positions[name]
     last = fresh.standing_word(stored or LatestRows(position=name, method=place.method))
     assessment, alarms = last.last_assessment, last.active_alarms
     visible_alarms = [row for row in alarms if row.suppressed is None]
     shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]
-    data_h = data_hour(last)
-    age_h = None if data_h is None else fresh.age_h(data_h)
+    standing = position_standing(context.settings, fresh, name, last)
     return {
-        "position": name,
-        **{key: getattr(place, key) for key in ("label", "method", "serial_number")},
-        "state": status_of(last),
-        "stale": is_stale(context.settings.schedule, fresh, age_h),
-        "data_h": data_h,
-        "data_utc": None if data_h is None else fresh.utc_of(data_h),
-        "age_h": age_h,
+        **standing.model_dump(),
+        "serial_number": place.serial_number,
+        "data_utc": None if standing.data_h is None else fresh.utc_of(standing.data_h),
         "last_set": _row(fresh, last.last_set),
         "last_feature": _row(fresh, last.last_feature),
         "last_thickness": _row(fresh, last.last_thickness),
@@ -61,6 +56,23 @@ def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | N
         "shelved_until_utc": rfc3339(min(shelves, default=None)),
         "highest_priority": max((row.priority for row in visible_alarms), key=PRIORITIES.index, default=None),
     }
+
+
+def position_standing(
+    settings: Settings, fresh: freshness.Freshness, name: str, last: LatestRows
+) -> PositionStanding:
+    """Return the status of a position from its latest rows, with its alarms in their present state."""
+    place, data_h = settings.positions[name], data_hour(last)
+    age_h = None if data_h is None else fresh.age_h(data_h)
+    return PositionStanding(
+        position=name,
+        label=place.label,
+        method=place.method,
+        state=status_of(last),
+        stale=is_stale(settings.schedule, fresh, age_h),
+        data_h=data_h,
+        age_h=age_h,
+    )
 
 
 def _row(fresh: Freshness, row: Row | None) -> dict[str, object] | None:

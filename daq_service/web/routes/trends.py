@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Query
@@ -20,6 +20,7 @@ from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Tren
 from daq_service.web.answers.problem import invalid
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
+from daq_service.web.tables.choice import Columns
 
 router = APIRouter(tags=["trends"])
 
@@ -147,7 +148,7 @@ _UNITLESS = frozenset({"outlier", "outlier_mean_3sd", "in_baseline", "reason"})
 
 def measured_columns(
     context: Context, position: str, names: Sequence[str], first_h: float | None, last_h: float | None
-) -> dict[str, list[Any]]:
+) -> Columns:
     """Read columns of the measured values of a position, one entry per set."""
     method = METHODS[context.settings.positions[position].method]
     filters: Filters = {"position": position, "first_h": first_h, "last_h": last_h, **method.of_sets}
@@ -156,7 +157,7 @@ def measured_columns(
 
 def read_columns(
     context: Context, position: str, fields: Sequence[str], from_h: float | None, last_h: float | None
-) -> dict[str, list[Any]]:
+) -> Columns:
     """Read `COMMON` and the selected columns; a set without assessment has null in its columns."""
     measured_names = [
         name for name in fields if name in METHODS[context.settings.positions[position].method].values
@@ -189,9 +190,9 @@ _SETS_IN_A_BIN = {
 }
 
 
-def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, list[Any]]:
+def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> Columns:
     """Return columns as `read_columns`, with one entry per bin."""
-    columns: dict[str, list[Any]] = {
+    columns: Columns = {
         "set_index": bins["first_set"].astype(int).tolist(),
         "due_h": bins["first_h"].tolist(),
         "quality": [
@@ -219,7 +220,7 @@ def _means(bins: NDArray[np.void], column: int) -> list[float]:
     return np.clip(mean, bins["minimum"][:, column], bins["maximum"][:, column]).tolist()  # type: ignore[no-any-return] # of NumPy
 
 
-def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, Any]:
+def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, object]:
     """Return the further values of bins: extremes, counts, first outliers and alarms."""
     names = [name for name in values_of(kind) if name in fields]
     column_of = {name: values_of(kind).index(name) for name in names}

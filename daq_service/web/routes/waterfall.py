@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
+from numpy.typing import NDArray
 from starlette.responses import Response
 
 from daq_service.archive import SetReference
@@ -225,7 +226,7 @@ def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int
     return set_indices
 
 
-def _planes(picture: Picture, *, normalised: bool) -> np.ndarray[Any, np.dtype[np.float32]]:
+def _planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
     """Return the minima and maxima of the cells, shape (2, rows, columns)."""
     if not picture.rows:
         return np.zeros((2, 0, picture.frame.n_cells), dtype=np.float32)
@@ -248,5 +249,5 @@ def _until_h(picture: Picture) -> list[float]:
     return ends
 
 
-def _nested_lists(plane: np.ndarray[Any, np.dtype[np.float32]]) -> list[list[float | None]]:
+def _nested_lists(plane: NDArray[np.float32]) -> list[list[float | None]]:
     return [[None if math.isnan(value) else value for value in row] for row in plane.tolist()]

@@ -39,7 +39,7 @@ ALWAYS = (
 )
 """Columns that identify rows and state their quality: these are always exported."""
 
-Columns = Mapping[str, list[Any]]
+Columns = dict[str, list[Any]]
 """Values of a page by column, nested ones as JSON text; None: not available."""
 
 

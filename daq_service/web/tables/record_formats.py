@@ -15,17 +15,16 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import orjson
-from numpy.typing import NDArray
 
 from daq_service.archive.table_file import records_image
 from daq_service.catalogue import Catalogue
 from daq_service.processes.freshness import Freshness
 from daq_service.web.tables.export import facts_of
 from daq_service.web.tables.formats import (
+    Array,
     Facts,
     arrow_array,
     arrow_field,
@@ -100,7 +99,7 @@ def _arrow_like(kind: str) -> Callable[[RecordSlice, Facts], bytes]:
     return write
 
 
-def _arrays(records: RecordSlice) -> dict[str, NDArray[Any]]:
+def _arrays(records: RecordSlice) -> dict[str, Array]:
     return {column.name: as_array(column, records.columns[column.name]) for column in OF_RECORD}
 
 
