@@ -1,6 +1,8 @@
-"""`/api/v1/transducers`: present state of each monitored position."""
+"""Present state: `/api/v1/transducers` for each monitored position, `/api/v1/environment/latest`."""
 
 from __future__ import annotations
+
+from dataclasses import asdict
 
 from fastapi import APIRouter
 
@@ -8,17 +10,24 @@ from daq_service.alarms.states import PRIORITIES, retired_positions
 from daq_service.assessment.position_status import data_hour, is_stale, status_of
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import Row
+from daq_service.corrosion_drive.supply_state import read_supply_status
 from daq_service.processes import freshness
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
-from daq_service.web.answers.models import PositionList, PositionStanding, PositionState, problems
+from daq_service.web.answers.models import (
+    EnvironmentNow,
+    PositionList,
+    PositionStanding,
+    PositionState,
+    problems,
+)
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes.row_listings import with_quality
 
-router = APIRouter(tags=["transducers"])
+router = APIRouter()
 
 
-@router.get("/transducers", response_model=PositionList, responses=problems(503))
+@router.get("/transducers", tags=["transducers"], response_model=PositionList, responses=problems(503))
 def list_transducers(context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of every position."""
     fresh = context.freshness()
@@ -27,12 +36,33 @@ def list_transducers(context: ContextOf) -> JsonAnswer:
     return JsonAnswer({"as_of": fresh.as_of(), "items": items})
 
 
-@router.get("/transducers/{position}", response_model=PositionState, responses=problems(404, 503))
+@router.get(
+    "/transducers/{position}",
+    tags=["transducers"],
+    response_model=PositionState,
+    responses=problems(404, 503),
+)
 def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of one position."""
     context.checked_position(position)
     state = context.catalogue().positions_state().get(position)
     return JsonAnswer(_state(context, context.freshness(), position, state))
+
+
+@router.get(
+    "/environment/latest", tags=["environment"], response_model=EnvironmentNow, responses=problems(503)
+)
+def get_latest_environment(context: ContextOf) -> JsonAnswer:
+    """Return the newest row, and the present status of the supply; null where there is none."""
+    fresh = context.freshness()
+    row, drive = context.catalogue().last_environment(), read_supply_status(context.data_folder)
+    return JsonAnswer(
+        {
+            "as_of": fresh.as_of(),
+            "latest": None if row is None else fresh.row(row),
+            "supply_now": None if drive is None else asdict(drive),
+        }
+    )
 
 
 def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, object]:

@@ -1,4 +1,4 @@
-"""`/api/v1/trends/{position}`: columns over the test, one entry per set, for charts and analysis."""
+"""`/api/v1/trends/{position}`: columns over the test, and `/api/v1/fits/{position}`: their fit."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from pydantic import StringConstraints, WithJsonSchema
 
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rollups import QUALITIES, Kind, trend_bins, values_of
+from daq_service.catalogue.rollups import QUALITIES, Kind, trend_bins, trend_part, values_of
 from daq_service.catalogue.rows import AssessmentRow
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hours
-from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Trend, problems
+from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Fit, Trend, problems
 from daq_service.web.answers.problem import invalid
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
@@ -74,23 +74,10 @@ def checked_fields(method: str, fields: str | None, *, known: Sequence[str]) -> 
 def get_trend(
     context: ContextOf,
     position: str,
-    fields: Annotated[
-        list[FieldName] | None,
-        Query(
-            max_length=50,
-            description="Columns, as `fields=a&fields=b` or with commas; absent: all of the method",
-        ),
-    ] = None,
+    fields: Annotated[list[FieldName] | None, Query(max_length=50)] = None,
     from_h: FromHour = None,
     to_h: ToHour = None,
-    points: Annotated[
-        int,
-        Query(
-            ge=1,
-            le=MOST_POINTS,
-            description="How many entries at most; fewer of many columns, since no answer is beyond 200 kB",
-        ),
-    ] = POINTS,
+    points: Annotated[int, Query(ge=1, le=MOST_POINTS)] = POINTS,
 ) -> JsonAnswer:
     """Return features or thickness with assessments by column, one entry per set or bin of sets.
 
@@ -239,3 +226,41 @@ def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) ->
 
 def _finite(column: NDArray[np.float64]) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in column.tolist()]
+
+
+@router.get("/fits/{position}", response_model=Fit, responses=problems(404, 503))
+def get_fit(
+    context: ContextOf,
+    position: str,
+    field: Annotated[str, Query(max_length=40, description="A measured column of the position's method")],
+    from_h: FromHour = None,
+    to_h: ToHour = None,
+) -> JsonAnswer:
+    """Fit the sets in the range; sets without a value (null) are excluded."""
+    from analysis.errors import NotEnoughPointsError
+    from analysis.statistics.trend import trend_of_part
+
+    method = context.settings.positions[context.checked_position(position)].method
+    (name,) = checked_fields(method, field.replace(",", " "), known=METHODS[method].values)
+    fresh = context.freshness()
+    part = trend_part(context.catalogue(), position, name, first_h=from_h, last_h=last_hour(from_h, to_h))
+    n, trend, reason = int(part["n"]), None, None
+    try:
+        trend = trend_of_part(part)
+    except NotEnoughPointsError as error:
+        reason = str(error)
+    return JsonAnswer(
+        {
+            "position": position,
+            "field": name,
+            "unit": unit_of(name),
+            "n": n,
+            "coefficients": None if trend is None else [trend.constant, trend.linear, trend.quadratic],
+            "r_squared": None if trend is None else trend.r_squared,
+            "residual_sd": None if trend is None else trend.residual_sd,
+            "from_h": float(part["first_h"]) if n else None,
+            "to_h": float(part["last_h"]) if n else None,
+            "reason": reason,
+            "as_of": fresh.as_of(),
+        }
+    )

@@ -62,20 +62,9 @@ def get_waterfall(
     from_s: Seconds = None,
     to_s: Seconds = None,
     rows: Annotated[int, Query(ge=1, le=MOST_ROWS, description="Most rows")] = ROWS,
-    columns: Annotated[
-        int, Query(ge=2, le=MOST_COLUMNS, description="Most columns of cells, a number without unit")
-    ] = COLUMNS,
-    align: Annotated[
-        Literal["trigger", "isw", "first_echo"],
-        Query(description="Where time counts from; isw and first_echo by method"),
-    ] = "trigger",
-    shown: Annotated[
-        Literal["volts", "normalised", "difference"],
-        Query(
-            alias="as",
-            description="normalised: each row over its greatest magnitude; difference: from the baseline",
-        ),
-    ] = "volts",
+    columns: Annotated[int, Query(ge=2, le=MOST_COLUMNS)] = COLUMNS,
+    align: Literal["trigger", "isw", "first_echo"] = "trigger",
+    shown: Annotated[Literal["volts", "normalised", "difference"], Query(alias="as")] = "volts",
     form: Annotated[Literal["octets", "json"], Query(alias="format")] = "octets",
 ) -> Response:
     """Return all accepted waveforms of a position as an image of the extremes of each cell.

@@ -75,21 +75,8 @@ def get_waveform(
     position: str,
     set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
     shot_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
-    form: Annotated[
-        Literal["json", "npy", "octets"],
-        Query(
-            alias="format",
-            description="json; npy: float64 (2, n), time in s and volts; octets: counts as stored",
-        ),
-    ] = "json",
-    points: Annotated[
-        int | None,
-        Query(
-            ge=4,
-            le=MOST_POINTS,
-            description="Most points: extremes of each bin; not for octets",
-        ),
-    ] = None,
+    form: Annotated[Literal["json", "npy", "octets"], Query(alias="format")] = "json",
+    points: Annotated[int | None, Query(ge=4, le=MOST_POINTS)] = None,
 ) -> Response:
     """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0."""
     context.checked_position(position)

@@ -118,21 +118,28 @@ def _arrow_like(kind: str) -> Write:
             [arrow_field(arrow, column) for column in choice.columns],
             metadata={"solimon": facts_text(facts)},
         )
-        drain = _Drain()
-        if kind == "parquet":
-            from pyarrow import parquet
-
-            writing = parquet.ParquetWriter(drain, schema)
-        else:
-            writing = arrow.ipc.new_stream(drain, schema)
-        with writing as writer:
-            for page in pages:
-                arrays = [arrow_array(arrow, field.type, page[field.name]) for field in schema]
-                writer.write(arrow.record_batch(arrays, schema=schema))
-                yield drain.taken()
-        yield drain.taken()
+        batches = ([arrow_array(arrow, field.type, page[field.name]) for field in schema] for page in pages)
+        yield from written_arrow(arrow, kind, schema, batches)
 
     return write
+
+
+def written_arrow(
+    arrow: Arrow, form: str, schema: Arrow, batches: Iterable[Sequence[Arrow]]
+) -> Iterator[bytes]:
+    """Yield the bytes of a file, ``parquet`` or ``arrow``, after each batch of arrays."""
+    drain = _Drain()
+    if form == "parquet":
+        from pyarrow import parquet
+
+        writing = parquet.ParquetWriter(drain, schema)
+    else:
+        writing = arrow.ipc.new_stream(drain, schema)
+    with writing as writer:
+        for arrays in batches:
+            writer.write(arrow.record_batch(arrays, schema=schema))
+            yield drain.taken()
+    yield drain.taken()
 
 
 def arrow_field(arrow: Arrow, column: PublishedColumn) -> Arrow:
@@ -184,6 +191,11 @@ def as_array(column: PublishedColumn, values: list[object]) -> Array:
     return np.array(["" if value is None else value for value in values], dtype=np.str_)
 
 
+def with_texts(array: Array) -> Array | list[str]:
+    """Return texts as a list, as h5py takes them, and other arrays unchanged."""
+    return [str(text) for text in array] if array.dtype.kind == "U" else array
+
+
 def _npz(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
     yield npz_image(_arrays(choice.columns, pages), facts)
 
@@ -227,7 +239,7 @@ def _h5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[byte
     hours = next(name for name in ("due_h", "raised_h", "from_h") if name in arrays)
     yield table_image(
         choice.table,
-        {name: array.tolist() if array.dtype.kind == "U" else array for name, array in arrays.items()},
+        {name: with_texts(array) for name, array in arrays.items()},
         signal=numbers[0] if numbers else None,
         axis=hours,
         facts_text=facts_text(facts),
