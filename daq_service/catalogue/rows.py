@@ -390,16 +390,14 @@ class Column:
     description: str | None
 
 
-def columns_of(kind: type[Row]) -> tuple[Column, ...]:
-    """Return the columns of a kind of row in order; the first one is the primary key."""
+def columns_of(kind: type[object]) -> tuple[Column, ...]:
+    """Return the fields of a dataclass in order; of a kind of row, the first one is the primary key."""
     columns = []
-    hints = get_type_hints(kind, include_extras=True)
-    for name in kind.__slots__:
-        hint = hints[name]
+    for name, hint in get_type_hints(kind, include_extras=True).items():
         of_type, description = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
-        columns.append(
-            Column(name=name, type=of_type, nullable=NoneType in get_args(of_type), description=description)
-        )
+        if name != "__slots__":
+            nullable = NoneType in get_args(of_type)
+            columns.append(Column(name=name, type=of_type, nullable=nullable, description=description))
     return tuple(columns)
 
 
