@@ -193,23 +193,6 @@ def test_on_the_wall_clock_no_strike_comes_early(tmp_path: Path) -> None:
     assert {row.boot_id for row in rows["shots"]} != {"simulated"}
 
 
-def test_a_data_folder_that_is_a_file_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "file").write_text("precious")
-    done = solimon_here("record", "--data-dir", str(tmp_path / "file" / "data"), env=QUICK)
-    assert done.returncode == 4
-    assert "data folder" in done.stderr
-    assert (tmp_path / "file").read_text() == "precious"
-
-
-def test_a_folder_of_another_configuration_is_refused(two_hours: tuple[Path, dict[str, Any]]) -> None:
-    folder, _ = two_hours
-    before = rows_of(folder)
-    done = solimon_here(*TWO_HOURS, str(folder), "--seed", "5", env=QUICK)
-    assert done.returncode == 4
-    assert "belongs to the experiment" in done.stderr
-    assert rows_of(folder) == before
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [("[chain]\nmass_kg = -1.0", "greater than 0"), ("[corrosion]\nsize_mm = 2.0", "did you mean size_m?")],

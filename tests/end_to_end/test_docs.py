@@ -90,14 +90,6 @@ def test_the_table_of_delays_has_every_kind_of_alarm() -> None:
     assert {kind for kind in GUIDANCE if f"`{kind}`" not in table} == set()
 
 
-def test_the_limits_of_small_and_large_baselines_are_those_that_are_printed() -> None:
-    page = ROOT / "docs/how-to/choose-a-baseline.md"
-    (code,), (expected,) = blocks(page, "python"), blocks(page, "text")
-    with contextlib.redirect_stdout(output := io.StringIO()):
-        exec(code, {})
-    assert output.getvalue() == expected
-
-
 @pytest.mark.parametrize("text", blocks(ROOT / "docs/reference/configuration.md", "toml"))
 def test_the_toml_of_the_configuration_page_is_accepted(text: str, tmp_path: Path) -> None:
     path = tmp_path / "example.toml"

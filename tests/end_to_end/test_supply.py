@@ -218,22 +218,3 @@ def test_silence_is_unknown_and_trips_the_interlock_once_it_answers(
     assert found["supply_not_responding"].state == "returned_unacknowledged"
     assert found["interlock_tripped"].state == "unacknowledged"
     assert environment(folder)[-1].unknown_s > 0.0
-
-
-def test_a_climate_probe_that_dies_is_an_alarm(instruments: SerialInstruments, tmp_path: Path) -> None:
-    folder = tmp_path / "data"
-    assert run(settings_with(instruments, 6), folder, act={1: instruments.climate_link.unplug})
-    assert alarms(folder)["climate_not_responding"].priority == "low"
-    assert environment(folder)[-1].climate_quality == "lost"
-
-
-def test_commands_above_the_caps_are_rejected(instruments: SerialInstruments, tmp_path: Path) -> None:
-    folder = tmp_path / "data"
-    assert run(settings_with(instruments, 3), folder, orders={1: ("supply_on", {"voltage_v": 50.0})})
-    assert switchings(instruments) == []
-    with open_catalogue(folder) as catalogue:
-        answer = catalogue.command(1)
-    assert answer is not None
-    assert answer.state == "refused"
-    assert "50" in answer.result
-    assert "voltage_cap_v" in answer.result

@@ -43,8 +43,6 @@ SMALL: dict[str, Any] = {
     "alarms": {"hole_shots": 2},
 }
 SETS = 24
-BASELINE_SETS = 18
-
 RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
 
 

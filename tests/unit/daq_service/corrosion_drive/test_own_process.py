@@ -486,10 +486,6 @@ def test_the_stored_state_reads_back_equal(tmp_path: Path) -> None:
     assert read_stored_state(tmp_path / "absent") is None
 
 
-def moved(kept: Any, **changes: Any) -> Any:
-    return replace(kept, **changes)
-
-
 @pytest.mark.parametrize(
     ("changes", "age_s"),
     [
