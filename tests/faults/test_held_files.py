@@ -39,13 +39,13 @@ def undisturbed(tmp_path_factory):
     return rows_of(folder)
 
 
-def written(folder: Path) -> Path:
+def written(folder):
     config = folder / "test.json"
     config.write_text(json.dumps({**SMALL, "schedule": SHORT}), encoding="utf-8")
     return config
 
 
-def asked(url: str) -> tuple[int, bytes]:
+def asked(url):
     try:
         with urllib.request.urlopen(url, timeout=60.0) as answer:
             return answer.status, answer.read()
@@ -116,7 +116,7 @@ def test_recorder_supervisor_and_web_survive_held_files(library, undisturbed, tm
         assert any(name.startswith("set_") for name in files)
 
 
-def n_sets(data: Path) -> int:
+def n_sets(data):
     try:
         with open_catalogue(data) as catalogue:
             return len({row.set_index for row in catalogue.rows(SetRow)})
