@@ -309,3 +309,11 @@ def test_a_reset_restores_the_defaults_and_keeps_the_session(scope):
     scope("ResetDevice")
     assert scope.attribute(1250001) == 10.0
     scope("Commit")
+
+
+def test_self_calibration_is_dated(scope):
+    before = scope("CalFetchDate", which_one=1)
+    assert (before["year"], before["month"], before["day"]) == (2026, 5, 4)
+    scope("CalSelfCalibrate", option=0)
+    assert scope("CalFetchDate", which_one=1) != before
+    assert scope("CalFetchDate", which_one=0) == before
