@@ -5,7 +5,6 @@ import os
 import re
 import signal
 import subprocess
-import sys
 import urllib.error
 import urllib.request
 from contextlib import contextmanager, suppress
@@ -13,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from support.command_line import solimon_here
+from support.command_line import SOLIMON, solimon_here
 from support.small_experiment import rows_of, run, small_settings
 from support.waiting import until
 
@@ -26,7 +25,6 @@ QUICK = {
     "SOLIMON_BASELINE__MINIMUM_VALID_SHOTS": "4",
     "SOLIMON_ALARMS__HOLE_SHOTS": "4",
 }
-SOLIMON = [sys.executable, "-m", "daq_service.cli"]
 LIMIT_S = 120.0
 """Far beyond any of these runs, on a loaded machine too: a hang ends in an error, not in silence."""
 

@@ -5,11 +5,11 @@ import os
 import re
 import shutil
 import signal
-import sys
 import urllib.request
 from pathlib import Path
 
 import pytest
+from support.command_line import SOLIMON
 from support.waiting import WAIT_S, until
 
 from daq_service.archive import FolderSetReader
@@ -22,7 +22,6 @@ if missing := pseudo_terminals_missing():
 from support.pseudo_terminal import on_terminal
 
 PICTURES = Path(__file__).with_name("terminal")
-SOLIMON = [sys.executable, "-m", "daq_service.cli"]
 # A coarse mesh and half of the strikes: what is shown counts.
 QUICK = {
     "SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16",

@@ -3,13 +3,13 @@
 import os
 import signal
 import subprocess
-import sys
 import threading
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import pytest
+from support.command_line import SOLIMON, solimon_here
 from support.notify_socket import notify_socket
 from support.offered_kinds import offer
 from support.scripted_kinds import OFFERED
@@ -346,7 +346,7 @@ def started(test, word, settings):
     """Run ``solimon record`` or ``run`` on the folder until an operator has switched the supply on."""
     prepare_data_folder(test.folder)
     config = write_configuration(settings, test.folder)
-    command = [sys.executable, "-m", "daq_service.cli", word, str(config), "--data-dir", str(test.folder)]
+    command = [*SOLIMON, word, str(config), "--data-dir", str(test.folder)]
     command += ["--no-web"] if word == "run" else []
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
@@ -423,15 +423,7 @@ def test_a_recorder_that_its_supervisor_starts_again_goes_on(test):
 def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test):
     prepare_data_folder(test.folder)
     config = write_configuration(test.settings(), test.folder)
-    command = [
-        sys.executable,
-        "-m",
-        "daq_service.cli",
-        "supply-process",
-        str(config),
-        "--data-dir",
-        str(test.folder),
-    ]
+    command = [*SOLIMON, "supply-process", str(config), "--data-dir", str(test.folder)]
     test.instruments.supply_link.do(lambda: test.instruments.supply.press_output_key(True))
     with notify_socket(test.folder.parent) as (manager, heard):
         environment = {**os.environ, **manager}
@@ -573,14 +565,6 @@ def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test):
 
 
 def test_a_test_without_a_supply_has_no_supply_process(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "daq_service.cli",
-        "supply-process",
-        "--data-dir",
-        str(tmp_path / "data"),
-    ]
-    refused = subprocess.run(command, capture_output=True, text=True, check=False)
+    refused = solimon_here("supply-process", "--data-dir", str(tmp_path / "data"), env={})
     assert refused.returncode == 2
     assert "[rig.supply]" in refused.stderr
