@@ -17,8 +17,6 @@ from daq_service.archive.waterfall.tiles import n_bytes
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, built_set_bytes, tile_bytes
 from daq_service.cli.offline.twin_line import assessed_sets
-from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
 
 BASELINE_SETS, SETS = 15, 19
 SHORT: dict[str, Any] = {
@@ -104,25 +102,6 @@ def test_a_file_matches_the_catalogue_rows_of_its_set(finished):
         assert entry["set_features/amplitude_ratio"][()].tolist() == means
         (wall,) = (row.thickness_m for row in rows["thickness"] if row.set_index == 7)
         assert entry["thickness/thickness_m"][()].tolist() == [wall]
-
-
-def test_a_stored_shot_is_what_simulate_gives_at_its_depth_height_and_tilt(finished):
-    settings = small_settings()
-    record = read_set(set_files(finished)[SETS - 1])
-    shot = next(shot for shot in record.shots if shot.key.position == "B")
-    place = settings.positions["B"]
-    again = summarise(
-        ShotModel(place.chain, place.plate, place.corrosion).shot(
-            depth_fraction=shot.truth["depth_fraction"],
-            drop_height_m=shot.truth["drop_height_m"],
-            tilt_rad=shot.truth["tilt_rad"],
-        )
-    )
-    # The bound; the same code on the same numbers in fact repeats every bit.
-    assert shot.truth["isw_peak_n"] == pytest.approx(again.isw_peak_n, rel=1e-6)
-    assert shot.truth["psw_peak_n"] == pytest.approx(again.psw_peak_n, rel=1e-6)
-    assert shot.truth["tof_s"] * 1e6 == pytest.approx(again.tof_us, rel=1e-6)
-    assert shot.truth["amplitude_ratio"] == pytest.approx(again.amplitude_ratio, rel=1e-6)
 
 
 def test_assessment_without_recorder_and_storage_gives_the_same_result(finished):

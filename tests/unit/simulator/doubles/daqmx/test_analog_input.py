@@ -12,7 +12,7 @@ from simulator.doubles.chassis.description import default_description
 from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.statuses import Status
 from simulator.parameters.electronics import AdcParameters, NoiseParameters
-from simulator.parameters.experiment import ScatterParameters, TwinParameters
+from simulator.parameters.experiment import TwinParameters
 from simulator.shot.model import ShotModel
 from simulator.specimen import Transducer, build_specimen
 
@@ -368,18 +368,3 @@ def test_a_read_starts_the_task(brain, me):
     with pytest.raises(Status, match="-200284"):
         read(me, task, wide=False, timeout=0.0)
     assert brain.record()["tasks"][0]["state"] == "running"
-
-
-def test_a_record_longer_than_the_twin_s_force_is_an_error_of_the_double():
-    calm = replace(QUIET, scatter=ScatterParameters(scale=0.0))
-    brain = Brain(default_description(calm), clock=SteppedClock())
-    me = Caller(brain)
-    task, coil = me.digitizer("PXI1Slot3/ai0", samples=200_000), me.coil("PXI1Slot3/ctr0")
-    me("StartTask", task)
-    me("StartTask", coil)
-    with pytest.raises(Status, match="The twin cannot compute this") as caught:
-        me("WaitUntilTaskDone", task, time_to_wait=1.0)
-    assert caught.value.code == -50150
-    with pytest.raises(Status, match="200010"):
-        me("StopTask", task)
-    assert brain.record()["tasks"][0]["state"] == "verified"
