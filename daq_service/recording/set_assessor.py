@@ -174,6 +174,8 @@ class SetAssessor:
                 conditions = self.confirmations.with_result(confirmed, conditions, due.set_index)
             for condition in conditions:
                 self.carry_alarm(condition, moment, transaction)
+        if due.position is not None:
+            add_confirmation(self.alarms, due.position, transaction, moment)
         trouble, unanswered = record.trouble, self._unanswered(record)
         has_trouble = bool(trouble or unanswered)
         # One position that works proves nothing of the other instruments.
@@ -181,7 +183,6 @@ class SetAssessor:
             rig_now = rig_condition(due, trouble, unanswered, proven=self.proven)
             self.carry_alarm(rig_now, moment, transaction)
         if due.position is not None:
-            add_confirmation(self.alarms, due.position, transaction, moment)
             return transaction
         if self._may_end(None, RECORDER_NOT_RUNNING):
             self.carry_alarm(recorder_condition("", due.due_h), moment, transaction)
