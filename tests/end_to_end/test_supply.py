@@ -224,7 +224,7 @@ def test_a_climate_probe_that_dies_is_an_alarm(instruments: SerialInstruments, t
     folder = tmp_path / "data"
     assert run(settings_with(instruments, 6), folder, act={1: instruments.climate_link.unplug})
     assert alarms(folder)["climate_not_responding"].priority == "low"
-    assert environment(folder)[-1].climate_quality == "lost"
+    assert environment(folder)[-1].climate_quality == "no_communication"
 
 
 def test_commands_above_the_caps_are_rejected(instruments: SerialInstruments, tmp_path: Path) -> None:
@@ -234,6 +234,6 @@ def test_commands_above_the_caps_are_rejected(instruments: SerialInstruments, tm
     with open_catalogue(folder) as catalogue:
         answer = catalogue.command(1)
     assert answer is not None
-    assert answer.state == "refused"
+    assert answer.state == "rejected"
     assert "50" in answer.result
     assert "voltage_cap_v" in answer.result

@@ -526,7 +526,7 @@ def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(
     with test.recording(test.settings(line=line_of(test.instruments, reply_timeout_s=0.2))):
         until(test.has_started, "the recorder")
         test.order("supply_on")
-        until(lambda: test.answers() == ["refused"], "the answer")
+        until(lambda: test.answers() == ["rejected"], "the answer")
         assert supply.on
         assert "output may be ON" in alarm(test, "supply_switch_off_pending")
         link.clear_faults()

@@ -338,7 +338,7 @@ class SupplyNow(Answer):
     last: SupplyState = Field(description="What the newest reading said")
     age_s: float | None = Field(description="Of the newest reading; null: there was none")
     tripped: str | None = Field(description="Why the interlock has tripped; null: it has not")
-    unwatched: bool = Field(description="It was switched off because no recorder watched")
+    watchdog_trip: bool = Field(description="It was switched off because no recorder watched")
     switch_off_pending: bool = Field(description="It must be off and was not read as off yet: it may be ON")
     written_age_s: float = Field(description="Age of the state that its process wrote last")
     process: bool | None = Field(description="Somebody owns the supply's port; null: that cannot be told")
