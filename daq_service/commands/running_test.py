@@ -8,7 +8,8 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from daq_service.alarms.states import Change, Moment, without_expired_shelf
+from daq_service.alarms.operator_actions import without_expired_shelf
+from daq_service.alarms.states import Change, Moment
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.settings.tree import Settings

@@ -15,8 +15,9 @@ from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
 from daq_service.alarms.states import Moment, update
 from daq_service.catalogue import Catalogue, SetCommit
-from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
+from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.catalogue.store import NoDataYetError, open_for_one_command
+from daq_service.catalogue.writer import payload_of
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import Settings

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from daq_service.acquisition.taken_set import n_missed, n_restrikes
+from daq_service.acquisition.take_set import n_missed, n_restrikes
 from daq_service.archive import SetRecord, SetReference
 from daq_service.assessment.results_in_file import find_differences as results_differ
 from daq_service.assessment.results_in_file import results_of

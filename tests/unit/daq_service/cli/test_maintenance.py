@@ -162,10 +162,10 @@ def test_results_are_compared_with_their_copy_in_the_file(folder, sql, message):
 
 
 def test_missing_rows_before_later_ones_are_reported(folder):
-    for table in ("features", "assessments", "thickness", "shots", "sets"):
+    for table in ("events", "features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 1")
     assert kinds(folder) == [("file_without_rows", FILES[1], None)]
-    for table in ("features", "assessments", "thickness", "shots", "sets"):
+    for table in ("events", "features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     report = verify_folder(folder)
     assert (report.damage, report.checked["sets_without_rows"]) == ([], 2), "as a killed recorder leaves them"
@@ -445,7 +445,7 @@ def test_repair_restores_a_file_from_the_journal_or_quarantines_it(folder):
     code, answer = solimon("repair", "--apply", "--data-dir", folder)
     assert (code, [step["does"] for step in answer["steps"]]) == (0, ["from_journal"])
     assert (folder / FILES[2]).read_bytes() == content
-    for table in ("features", "assessments", "thickness", "shots", "sets"):
+    for table in ("events", "features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     segment_path(folder, 1).unlink()
     (folder / FILES[2]).write_bytes(content[:1000])
