@@ -273,8 +273,8 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "say --hdf5 FILE, or --table NAME with --out FILE"),
-        (("--table", "sets"), "wants --out"),
+        ((), "give --hdf5 FILE, or --table NAME with --out FILE"),
+        (("--table", "sets"), "needs --out"),
         (("--table", "sets", "--out", "a.xlsx"), "choose from csv, parquet"),
         (("--table", "shots", "--out", "a.csv"), "choose from sets, features"),
         (("--table", "sets", "--position", "X", "--out", "a.csv"), "choose from A, B, C, D"),
