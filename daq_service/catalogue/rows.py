@@ -24,9 +24,9 @@ Priority = Literal["low", "medium", "high", "critical"]
 AlarmState = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
 Suppression = Literal["shelved", "out_of_service"]
 BaselineState = Literal["collecting", "proposed", "approved", "retired"]
-CommandState = Literal["pending", "started", "done", "refused", "expired", "failed"]
+CommandState = Literal["pending", "started", "done", "rejected", "expired", "failed"]
 SupplyState = Literal["on", "off", "unknown", "absent"]
-ReadingQuality = Literal["good", "suspect", "stale", "lost", "absent"]
+ReadingQuality = Literal["good", "suspect", "stale", "no_communication", "absent"]
 
 
 class Row:

@@ -302,7 +302,7 @@ def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
     expect(page.locator("#set")).to_have_attribute("data-waveforms", str(SHOTS))
     expect(page.locator("#paused")).to_be_visible()
     expect(page.locator("#disabled")).to_be_visible()
-    expect(page.locator('#environment [data-quality="lost"]')).to_be_visible()
+    expect(page.locator('#environment [data-quality="no_communication"]')).to_be_visible()
     expect(page.locator('#environment [data-quality="stale"]')).to_be_visible()
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
     expect(page.locator('.tile[data-position="C"]')).to_have_attribute("data-state", "disabled")

@@ -70,7 +70,9 @@ class Notifications:
         is_standby: bool = False,
     ) -> None:
         self.settings, self._folder = settings.notifications, folder
-        self._watch = RecorderWatch(settings, folder, catalogue) if monitors_recorder else None
+        self._watch = None
+        if monitors_recorder:
+            self._watch = RecorderWatch(settings.schedule, settings.clock.kind, folder, catalogue)
         self._is_standby = is_standby
         self.deliveries = DeliveryLog(folder)
         self._source = Source(settings, folder, catalogue)

@@ -11,6 +11,7 @@ from daq_service.catalogue.store import NoDataYetError
 from daq_service.processes.freshness import Freshness
 from daq_service.processes.notifications.messages import AlarmChange, HeartbeatFacts, Test, test_of
 from daq_service.settings.tree import Settings
+from daq_service.settings.web import WebSettings
 
 
 class Source:
@@ -35,7 +36,7 @@ class Source:
 
     def test(self) -> Test:
         """Return the test; before its first record only with its name."""
-        page = page_address(self._settings)
+        page = page_address(self._settings.web)
         try:
             return test_of(self._catalogue().experiment_row(), page)
         except NoDataYetError:
@@ -113,9 +114,8 @@ class Source:
         }
 
 
-def page_address(settings: Settings) -> str:
+def page_address(web: WebSettings) -> str:
     """Return the address of the page for other computers; empty where no host name is configured."""
-    web = settings.web
     if not web.host_names:
         return ""
     port = "" if web.proxy or web.port in (0, 443) else f":{web.port}"

@@ -35,7 +35,11 @@ class Bench:
         self.stage: Stage = ""
         monkeypatch.setattr("daq_service.processes.recorder_watch.Freshness", lambda *_: self.fresh())
         self.watch = RecorderWatch(
-            SETTINGS, folder, lambda: self.catalogue, machine=clock_in_seconds(lambda: 3600.0 * self.hour)
+            SETTINGS.schedule,
+            SETTINGS.clock.kind,
+            folder,
+            lambda: self.catalogue,
+            machine=clock_in_seconds(lambda: 3600.0 * self.hour),
         )
 
     def fresh(self) -> SimpleNamespace:
@@ -134,7 +138,8 @@ def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
     bench.store()
     bench.status, bench.hour = "not_responding", 9.0
     bench.watch = RecorderWatch(
-        SETTINGS,
+        SETTINGS.schedule,
+        SETTINGS.clock.kind,
         bench.watch._folder,
         lambda: bench.catalogue,
         machine=clock_in_seconds(lambda: 3600.0 * bench.hour),
