@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter, Signature
 from typing import Annotated, Any, Literal, cast
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
 from daq_service.catalogue.reader import Filters
@@ -33,6 +33,7 @@ from daq_service.web.routes.listing import (
     LARGEST_INDEX,
     CursorText,
     FromHour,
+    Index,
     Limit,
     PositionFilter,
     PurposeFilter,
@@ -197,9 +198,7 @@ add_listing(
     response_model=models.ShotPage,
     responses=problems(404, 503),
 )
-def list_shots(
-    context: ContextOf, position: str, set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)]
-) -> JsonAnswer:
+def list_shots(context: ContextOf, position: str, set_index: Index) -> JsonAnswer:
     """List the stored shots of one set, in one page."""
     context.checked_position(position)
     fresh = context.freshness()
