@@ -9,21 +9,8 @@ from typing import Annotated, Any, Literal, cast
 from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
+from daq_service.catalogue import rows
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rows import (
-    AlarmRow,
-    AlarmState,
-    AnnotationRow,
-    AssessmentRow,
-    EnvironmentRow,
-    FeatureRow,
-    Priority,
-    Row,
-    SetRow,
-    SetState,
-    ShotRow,
-    ThicknessRow,
-)
 from daq_service.web.answers import cursors, models
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import problems
@@ -55,7 +42,7 @@ PURPOSE: Parameters = {"purpose": (PurposeFilter, "planned")}
 
 def add_listing(
     resource: str,
-    kind: type[Row],
+    kind: type[rows.Row],
     page: type[BaseModel],
     description: str,
     filters: Parameters,
@@ -83,12 +70,12 @@ def add_listing(
         name = listing_name(resource, **query)
         query["after_id"] = cursors.decode(name, cursor)
         catalogue, fresh = context.catalogue(), context.freshness()
-        rows: Sequence[Any] = catalogue.rows(kind, limit=limit + 1, **_filters(query))
-        page_rows = rows[:limit]
+        found: Sequence[Any] = catalogue.rows(kind, limit=limit + 1, **_filters(query))
+        page_rows = found[:limit]
         items = (
             render_rows(context, fresh, page_rows) if render_rows else [fresh.row(row) for row in page_rows]
         )
-        next_cursor = cursors.encode(name, page_rows[-1].id) if len(rows) > limit else None
+        next_cursor = cursors.encode(name, page_rows[-1].id) if len(found) > limit else None
         return JsonAnswer({"as_of": fresh.as_of(), "next_cursor": next_cursor, "items": items})
 
     parameters = {**filters, "cursor": (CursorText, None), "limit": (Limit, 100)}
@@ -120,39 +107,39 @@ def _filters(query: Mapping[str, Any]) -> Filters:
 
 
 def with_quality(
-    context: Context, fresh: Freshness, rows: Sequence[AssessmentRow]
+    context: Context, fresh: Freshness, assessments: Sequence[rows.AssessmentRow]
 ) -> list[dict[str, object]]:
     """Return assessments for an answer, each with the quality of its feature or thickness."""
     methods = {name: place.method for name, place in context.settings.positions.items()}
-    qualities = assessed_qualities(context.catalogue(), methods, rows)
-    return [fresh.row(row, quality=quality) for row, quality in zip(rows, qualities, strict=True)]
+    qualities = assessed_qualities(context.catalogue(), methods, assessments)
+    return [fresh.row(row, quality=quality) for row, quality in zip(assessments, qualities, strict=True)]
 
 
 add_listing(
     "sets",
-    SetRow,
+    rows.SetRow,
     models.SetPage,
     "List one row a set and position, in the order in which they were stored.",
-    POSITION | {"state": (SetState | None, None)} | SET_INDEX | HOURS | PURPOSE,
+    POSITION | {"state": (rows.SetState | None, None)} | SET_INDEX | HOURS | PURPOSE,
 )
 SCOPE = Annotated[Literal["set", "shot"], Query(description="Means of sets, or single shots")]
 add_listing(
     "features",
-    FeatureRow,
+    rows.FeatureRow,
     models.FeaturePage,
     "List features with their quality and age.",
     POSITION | {"scope": (SCOPE, "set")} | SET_INDEX | HOURS | PURPOSE,
 )
 add_listing(
     "thickness",
-    ThicknessRow,
+    rows.ThicknessRow,
     models.ThicknessPage,
     "List pulse-echo results with their quality and age.",
     POSITION | SET_INDEX | HOURS,
 )
 add_listing(
     "assessments",
-    AssessmentRow,
+    rows.AssessmentRow,
     models.AssessmentPage,
     "List assessments with the quality of the feature that was judged.",
     POSITION | SET_INDEX | HOURS | PURPOSE,
@@ -160,7 +147,7 @@ add_listing(
 )
 add_listing(
     "environment",
-    EnvironmentRow,
+    rows.EnvironmentRow,
     models.EnvironmentPage,
     "List supply and climate, one row a set; no rows where neither is configured.",
     HOURS,
@@ -168,15 +155,15 @@ add_listing(
 ACTIVE = Annotated[bool | None, Query(description="true: not closed; false: closed; absent: all")]
 add_listing(
     "alarms",
-    AlarmRow,
+    rows.AlarmRow,
     models.AlarmPage,
     "List alarms in the order they were raised.",
     POSITION
     | HOURS
     | {
         "active": (ACTIVE, None),
-        "state": (Annotated[AlarmState | None, Query(description="Only this state")], None),
-        "priority": (Annotated[Priority | None, Query(description="Only this priority")], None),
+        "state": (Annotated[rows.AlarmState | None, Query(description="Only this state")], None),
+        "priority": (Annotated[rows.Priority | None, Query(description="Only this priority")], None),
         "kind": (Annotated[str | None, Query(max_length=50, description="Only this kind")], None),
     },
 )
@@ -185,7 +172,7 @@ add_listing(
 WITHDRAWN = Annotated[bool | None, Query(description="true: those withdrawn; false: the others; absent: all")]
 add_listing(
     "annotations",
-    AnnotationRow,
+    rows.AnnotationRow,
     models.AnnotationPage,
     "List annotations of any hour of a range, in the order they were written.",
     POSITION | HOURS | {"withdrawn": (WITHDRAWN, None)},
@@ -202,12 +189,12 @@ def list_shots(context: ContextOf, position: str, set_index: Index) -> JsonAnswe
     """List the stored shots of one set, in one page."""
     context.checked_position(position)
     fresh = context.freshness()
-    rows = context.catalogue().rows(ShotRow, position=position, set_index=set_index)
-    if not rows:
+    shots = context.catalogue().rows(rows.ShotRow, position=position, set_index=set_index)
+    if not shots:
         raise not_found(
             f"No shot of position {position}, set {set_index} is stored.", "/api/v1/sets lists the sets."
         )
-    items = [fresh.row(row) for row in rows]
+    items = [fresh.row(row) for row in shots]
     return JsonAnswer({"as_of": fresh.as_of(), "next_cursor": None, "items": items})
 
 
