@@ -16,28 +16,17 @@ from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.context import Context, ContextOf, Freshness
-from daq_service.web.routes.listing import (
-    LARGEST_INDEX,
-    CursorText,
-    FromHour,
-    Index,
-    Limit,
-    PositionFilter,
-    PurposeFilter,
-    ToHour,
-    last_hour,
-    listing_name,
-)
+from daq_service.web.routes import listing
 from daq_service.web.tables.baselines import published_baselines
 from daq_service.web.tables.quality import assessed_qualities
 
 router = APIRouter()
 Parameters = dict[str, tuple[object, object]]
 """Type and default of query parameters by name."""
-HOURS: Parameters = {"from_h": (FromHour, None), "to_h": (ToHour, None)}
-POSITION: Parameters = {"position": (PositionFilter, None)}
-SET_INDEX: Parameters = {"set_index": (Annotated[int | None, Query(ge=0, le=LARGEST_INDEX)], None)}
-PURPOSE: Parameters = {"purpose": (PurposeFilter, "planned")}
+HOURS: Parameters = {"from_h": (listing.FromHour, None), "to_h": (listing.ToHour, None)}
+POSITION: Parameters = {"position": (listing.PositionFilter, None)}
+SET_INDEX: Parameters = {"set_index": (Annotated[int | None, Query(ge=0, le=listing.LARGEST_INDEX)], None)}
+PURPOSE: Parameters = {"purpose": (listing.PurposeFilter, "planned")}
 
 
 def add_listing(
@@ -63,11 +52,11 @@ def add_listing(
         Converts rows to JSON; None: the row with its age.
     """
 
-    def listing(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
+    def page_of(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
         if query.get("position") is not None:
             context.checked_position(query["position"])
-        last_hour(query.get("from_h"), query.get("to_h"))
-        name = listing_name(resource, **query)
+        listing.last_hour(query.get("from_h"), query.get("to_h"))
+        name = listing.listing_name(resource, **query)
         query["after_id"] = cursors.decode(name, cursor)
         catalogue, fresh = context.catalogue(), context.freshness()
         found: Sequence[Any] = catalogue.rows(kind, limit=limit + 1, **_filters(query))
@@ -78,9 +67,9 @@ def add_listing(
         next_cursor = cursors.encode(name, page_rows[-1].id) if len(found) > limit else None
         return JsonAnswer({"as_of": fresh.as_of(), "next_cursor": next_cursor, "items": items})
 
-    parameters = {**filters, "cursor": (CursorText, None), "limit": (Limit, 100)}
+    parameters = {**filters, "cursor": (listing.CursorText, None), "limit": (listing.Limit, 100)}
     # FastAPI reads from the signature which parameters there are.
-    listing.__signature__ = Signature(  # type: ignore[attr-defined]  # `inspect` documents it, mypy lacks it
+    page_of.__signature__ = Signature(  # type: ignore[attr-defined]  # `inspect` documents it, mypy lacks it
         [
             Parameter("context", Parameter.KEYWORD_ONLY, annotation=ContextOf),
             *(
@@ -89,21 +78,21 @@ def add_listing(
             ),
         ]
     )
-    listing.__doc__ = description
+    page_of.__doc__ = description
     router.get(
         f"/{resource}",
         tags=[resource],
         name=f"list_{resource}",
         response_model=page,
         responses=problems(404, 503) if "position" in filters else problems(503),
-    )(listing)
+    )(page_of)
 
 
 def _filters(query: Mapping[str, Any]) -> Filters:
     """Return query parameters as filters of the catalogue."""
     from_h, to_h = query.get("from_h"), query.get("to_h")
     chosen: dict[str, object] = {name: query[name] for name in query if name not in HOURS}
-    return cast(Filters, chosen | {"first_h": from_h, "last_h": last_hour(from_h, to_h)})
+    return cast(Filters, chosen | {"first_h": from_h, "last_h": listing.last_hour(from_h, to_h)})
 
 
 def with_quality(
@@ -185,7 +174,7 @@ add_listing(
     response_model=models.ShotPage,
     responses=problems(404, 503),
 )
-def list_shots(context: ContextOf, position: str, set_index: Index) -> JsonAnswer:
+def list_shots(context: ContextOf, position: str, set_index: listing.Index) -> JsonAnswer:
     """List the stored shots of one set, in one page."""
     context.checked_position(position)
     fresh = context.freshness()
@@ -201,7 +190,7 @@ def list_shots(context: ContextOf, position: str, set_index: Index) -> JsonAnswe
 @router.get(
     "/baselines", tags=["assessments"], response_model=models.BaselineList, responses=problems(404, 503)
 )
-def list_baselines(context: ContextOf, position: PositionFilter = None) -> JsonAnswer:
+def list_baselines(context: ContextOf, position: listing.PositionFilter = None) -> JsonAnswer:
     """List the baselines of each position, the newest last: lifecycle, statistics, limits, provenance."""
     if position is not None:
         context.checked_position(position)
