@@ -32,11 +32,11 @@ VERBS = ("get", "post", "put", "patch", "delete")
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def description(folder: Path) -> dict:
+def description(folder):
     return create_app(Settings(), folder).openapi()
 
 
-def description_of_several(folder: Path) -> dict:
+def description_of_several(folder):
     return create_app_of_many([], Settings(), folder).openapi()
 
 
@@ -44,7 +44,7 @@ DESCRIPTIONS = {"a test": description, "several tests": description_of_several}
 SNAPSHOTS = {"a test": SNAPSHOT, "several tests": SNAPSHOT.with_name("openapi_of_several.json")}
 
 
-def as_text(document: dict) -> str:
+def as_text(document):
     return json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 

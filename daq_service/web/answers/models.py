@@ -552,7 +552,7 @@ TREND_ASSESSMENTS = (
 )
 """Columns of a trend from the assessment."""
 MEASURED_FIELDS = tuple(
-    dict.fromkeys(name for kind in rows.MEASURED_BY.values() for name in rows.measured(kind))
+    dict.fromkeys(name for kind in rows.MEASURED_BY.values() for name in rows.MEASURED[kind])
 )
 TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS)
 

@@ -13,8 +13,9 @@ from pydantic import StringConstraints, WithJsonSchema
 
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rollups import QUALITIES, Kind, trend_bins, trend_part, values_of
+from daq_service.catalogue.rollups import QUALITIES, Kind, values_of
 from daq_service.catalogue.rows import AssessmentRow
+from daq_service.catalogue.trends import trend_bins, trend_part
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hours
 from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Fit, Trend, problems
 from daq_service.web.answers.problem import invalid
