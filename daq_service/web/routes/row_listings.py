@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from inspect import Parameter, Signature
 from typing import Annotated, Any, Literal, cast
 
@@ -55,11 +55,13 @@ def add_listing(
     def page_of(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
         if query.get("position") is not None:
             context.checked_position(query["position"])
-        listing.last_hour(query.get("from_h"), query.get("to_h"))
         name = listing.listing_name(resource, **query)
-        query["after_id"] = cursors.decode(name, cursor)
+        chosen = {key: value for key, value in query.items() if key not in HOURS}
+        chosen["first_h"] = query.get("from_h")
+        chosen["last_h"] = listing.last_hour(query.get("from_h"), query.get("to_h"))
+        chosen["after_id"] = cursors.decode(name, cursor)
         catalogue, fresh = context.catalogue(), context.freshness()
-        found: Sequence[Any] = catalogue.rows(kind, limit=limit + 1, **_filters(query))
+        found: Sequence[Any] = catalogue.rows(kind, limit=limit + 1, **cast(Filters, chosen))
         page_rows = found[:limit]
         items = (
             render_rows(context, fresh, page_rows) if render_rows else [fresh.row(row) for row in page_rows]
@@ -86,13 +88,6 @@ def add_listing(
         response_model=page,
         responses=problems(404, 503) if "position" in filters else problems(503),
     )(page_of)
-
-
-def _filters(query: Mapping[str, Any]) -> Filters:
-    """Return query parameters as filters of the catalogue."""
-    from_h, to_h = query.get("from_h"), query.get("to_h")
-    chosen: dict[str, object] = {name: query[name] for name in query if name not in HOURS}
-    return cast(Filters, chosen | {"first_h": from_h, "last_h": listing.last_hour(from_h, to_h)})
 
 
 def with_quality(
