@@ -71,7 +71,7 @@ def kinds_of_the_code():
     constants = {}
     for _, tree in parsed:
         constants |= constants_of(tree)
-    for path, tree in parsed:
+    for _, tree in parsed:
         for name, node in calls(tree):
             place = None
             if name == "say":
@@ -81,7 +81,7 @@ def kinds_of_the_code():
             elif name in {"tell", "_tell", "add_event", "_add_event", "store_event"} and len(node.args) >= 2:
                 first = set(texts(node.args[0], constants))
                 place = node.args[1] if first & set(TOPICS) else node.args[0]
-            elif name == "_change_state" and path.name == "states.py":
+            elif name == "change_state":
                 place = node.args[3]
             named = [key.value for key in node.keywords if key.arg == "event_kind"]
             if name == "change_baselines":

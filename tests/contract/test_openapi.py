@@ -222,7 +222,7 @@ def test_every_part_of_the_evidence_is_described():
             named = isinstance(node, ast.keyword) and node.arg == "evidence"
             kept = isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "evidence"
             if (named or kept) and isinstance(node.value, ast.Dict):
-                keys |= {key.value for key in node.value.keys}
+                keys |= {key.value for key in node.value.keys if key is not None}  # None: **other
     assert {"rule", "consecutive_poor_sets"} <= keys
     assert keys - AlarmEvidence.model_fields.keys() == set()
 
