@@ -14,8 +14,6 @@ from typing import Any, TypeVar
 import orjson
 import sqlalchemy as sa
 
-from daq_service.catalogue.connection import json_text
-from daq_service.catalogue.row_checksum import DamagedRow, checked_rows
 from daq_service.catalogue.rows import (
     AssessmentRow,
     EnvironmentRow,
@@ -26,7 +24,8 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     values,
 )
-from daq_service.catalogue.tables import events, table_of
+from daq_service.catalogue.stored_rows import DamagedRow, checked_rows, json_text
+from daq_service.catalogue.tables import TABLES, events
 
 R = TypeVar("R", bound=Row)
 Key = tuple[type[Row], str | None, int | None]
@@ -113,14 +112,14 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
 
 def of_sets(kind: type[Row]) -> sa.Select[Any]:
     """Return the query for the rows of a kind that events report."""
-    table = table_of(kind)
+    table = TABLES[kind]
     statement = sa.select(table)
     return statement.where(table.c.shot_index.is_(None)) if kind is FeatureRow else statement
 
 
 def _of_some_sets(kind: type[Row]) -> sa.Select[Any]:
     """Return the query for the rows of some positions and sets, which finds each in an index."""
-    table = table_of(kind)
+    table = TABLES[kind]
     statement = of_sets(kind).where(table.c.set_index.in_(sa.bindparam("indices", expanding=True)))
     if "position" in table.c:
         return statement.where(table.c.position.in_(sa.bindparam("positions", expanding=True)))
@@ -133,7 +132,7 @@ _OF_SOME_SETS = {kind: _of_some_sets(kind) for kind in ROW_OF_EVENT.values()}
 def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
     """Yield id and description of the events whose row is lost."""
     for event_kind, kind in ROW_OF_EVENT.items():
-        table = table_of(kind)
+        table = TABLES[kind]
         of_event = [table.c[name] == events.c[name] for name in ("position", "set_index") if name in table.c]
         row = of_sets(kind).where(*of_event).correlate(events)
         statement = sa.select(events.c.id).where(
@@ -144,7 +143,7 @@ def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
 
 
 def _lost_row(event_id: int | None, kind: type[Row]) -> str:
-    return f"row {event_id} of table {events.name} lacks its row of table {table_of(kind).name}"
+    return f"row {event_id} of table {events.name} lacks its row of table {TABLES[kind].name}"
 
 
 def _is_part(payload: Mapping[str, Any], columns: Mapping[str, Any]) -> bool:

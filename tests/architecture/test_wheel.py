@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+TEMPLATES = sorted((ROOT / "daq_service/web/templates").glob("*.*"))
 
 
 @pytest.fixture(scope="module")
@@ -32,17 +33,25 @@ def wheel(tmp_path_factory):
     return path
 
 
-def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel):
+def test_the_wheel_holds_configuration_dashboard_templates_migrations_and_licence(wheel):
     archive = zipfile.ZipFile(wheel)
     names = archive.namelist()
     for wanted in (
         "daq_service/cli/groups/commands.toml",
+        "daq_service/web/answers/vocabulary.toml",
+        "daq_service/web/auth/roles.toml",
+        "daq_service/web/answers/problems.toml",
+        "daq_service/cli/maintenance/acceptance/texts.toml",
+        "daq_service/cli/reproduce/paper_values.csv",
+        "daq_service/cli/reproduce/texts.toml",
         "daq_service/cli/set_up/services/record.service",
         "daq_service/cli/set_up/services/task.xml",
+        "daq_service/cli/set_up/heads/setup.txt",
         "daq_service/config/simulated.toml",
         "daq_service/config/laboratory.toml",
         "daq_service/config/settings.schema.json",
         "daq_service/web/dashboard/index.html",
+        *(f"daq_service/web/templates/{path.name}" for path in TEMPLATES),
         "daq_service/web/dashboard/vendor/uplot/LICENSE",
         "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
         "hardware_drivers/conformance/test_instrument.py",

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 from support.command_line import SOLIMON, solimon_here
+from support.machine import clock_in_seconds
 from support.notify_socket import notify_socket
 from support.offered_kinds import offer
 from support.scripted_kinds import OFFERED
@@ -327,9 +328,13 @@ def test_a_supply_process_killed_after_the_recorder_is_restarted_and_switches_of
         return started[-1]
 
     now_s = [0.0]
-    remote = RemoteDrive(sooner.rig.supply, test.folder, start, watches=False, mono_s=lambda: now_s[0])
+    remote = RemoteDrive(
+        sooner.rig.supply, test.folder, start, watches=False, machine=clock_in_seconds(lambda: now_s[0])
+    )
     with remote:
-        guard = DriveGuard(test.folder, remote, check_every_s=600.0, mono_s=lambda: now_s[0])
+        guard = DriveGuard(
+            test.folder, remote, check_every_s=600.0, machine=clock_in_seconds(lambda: now_s[0])
+        )
         guard.check()
         assert len(started) == 1
         until(lambda: not test.instruments.supply.on, "the supply is off")

@@ -12,7 +12,7 @@ import orjson
 import pytest
 from sqlalchemy import event
 
-from daq_service.catalogue import SetCommit, check_owner, connection, open_catalogue
+from daq_service.catalogue import SetCommit, check_owner, connection, open_catalogue, stored_rows
 from daq_service.catalogue.errors import (
     CatalogueBusyError,
     CatalogueConflictError,
@@ -23,7 +23,6 @@ from daq_service.catalogue.errors import (
     NoDataYetError,
     OtherExperimentError,
 )
-from daq_service.catalogue.row_checksum import storable
 from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
@@ -34,6 +33,7 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
 )
+from daq_service.catalogue.stored_rows import storable
 from daq_service.catalogue.tables import features, sets
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings
@@ -727,7 +727,7 @@ def test_a_catalogue_may_be_shared_between_threads(writer, reader):
 
 
 def test_a_writer_that_waits_too_long_raises_an_error(tmp_path, monkeypatch, writer):
-    monkeypatch.setattr(connection, "BUSY_TIMEOUT_S", 0.01)
+    monkeypatch.setattr(stored_rows, "BUSY_TIMEOUT_S", 0.01)
     holder = sqlite3.connect(tmp_path / "catalogue.sqlite", isolation_level=None)
     holder.execute("BEGIN IMMEDIATE")
     with open_catalogue(tmp_path) as reader, pytest.raises(CatalogueBusyError, match=r"for 0\.01 s"):
@@ -736,7 +736,7 @@ def test_a_writer_that_waits_too_long_raises_an_error(tmp_path, monkeypatch, wri
 
 
 def test_a_writer_waits_once_for_a_lock_and_not_in_each_transaction(tmp_path, monkeypatch, writer):
-    monkeypatch.setattr(connection, "BUSY_TIMEOUT_S", 0.01)
+    monkeypatch.setattr(stored_rows, "BUSY_TIMEOUT_S", 0.01)
     waits = []
 
     @event.listens_for(writer._engine, "before_cursor_execute")

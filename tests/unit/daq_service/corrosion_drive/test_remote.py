@@ -5,9 +5,11 @@ from contextlib import ExitStack, nullcontext
 from typing import Any
 
 import pytest
+from support.machine import clock_in_seconds
 from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
+from daq_service.clock import MachineClock
 from daq_service.corrosion_drive.channel import HOST, Server, signed_line, verified_message
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
 from daq_service.corrosion_drive.guard import DriveGuard
@@ -22,6 +24,7 @@ from daq_service.corrosion_drive.supply_state import (
 )
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
+from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 KEY = b"k" * 32
@@ -54,8 +57,7 @@ class Bench:
             folder,
             self.start,  # type: ignore[arg-type]
             supply_port="COM4",
-            mono_s=lambda: self.now_s,
-            pause=self.pause,
+            machine=MachineClock(mono_ns=lambda: round(self.now_s * NS_PER_S), sleep=self.pause),
             kill=self.is_killed,
         )
 
@@ -310,10 +312,12 @@ class Guarded(Bench):
             folder,
             self.start,  # type: ignore[arg-type]
             watches=False,
-            mono_s=lambda: self.now_s,
+            machine=clock_in_seconds(lambda: self.now_s),
             kill=self.is_killed,
         )
-        self.guard = DriveGuard(folder, self.remote, check_every_s=600.0, mono_s=lambda: self.now_s)
+        self.guard = DriveGuard(
+            folder, self.remote, check_every_s=600.0, machine=clock_in_seconds(lambda: self.now_s)
+        )
 
     def look(self, seconds):
         for _ in range(round(seconds)):
