@@ -311,10 +311,11 @@ def _extract_alike(
     records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
     rate_hz = given[0].sample_rate_hz
-    still, at_trigger = noise_free_flags(records, rate_hz), _at_trigger(records)
     flagged = [
-        _flags(record, found, settings, rate_hz, *disturbed)
-        for record, found, *disturbed in zip(records, pulses, still, at_trigger, strict=True)
+        _flags(record, found, settings, rate_hz, still, at_trigger)
+        for record, found, still, at_trigger in zip(
+            records, pulses, noise_free_flags(records, rate_hz), _at_trigger(records), strict=True
+        )
     ]
     # What something else started looks like a wave at times, and so does what is left of a record.
     measured: list[dict[str, Any]] = [
