@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 A = TypeVar("A", bound=Assessor)
 
 NEVER = 2**63 - 1
+STATE_FORMAT = 1
+"""Version of the stored states; a state of another version is computed from the stored sets."""
 
 
 def restored_solitary_wave(
@@ -73,19 +75,21 @@ def restored_pulse_echo(
 
 def _restored(assessor: A, settings: Settings, catalogue: Catalogue, archive: SetReader) -> A:
     """Set the state of a new assessor: the stored one, none after a renewal, or that of all stored sets."""
-    from daq_service.assessment.stored_state import STATE_FORMAT, state_of
+    from analysis.assessment.exact_json import from_json
 
     rows = catalogue.rows(AssessorStateRow, position=assessor.position)
     made_by = (STATE_FORMAT, settings.configuration_hash())
     if not rows or any((row.format, row.configuration_hash) != made_by for row in rows):
         follow_stored_sets(assessor, catalogue, archive)
     elif {row.baseline_id for row in rows} == {assessor.baseline_id}:
-        assessor.state = state_of(type(assessor.state), rows)
+        assessor.state = from_json(type(assessor.state), *(row.state for row in rows))
     return assessor
 
 
 def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetReader) -> None:
     """Update the state of a new assessor with all stored sets in the order of their commits."""
+    from daq_service.assessment.follow_rows import follow
+
     position = assessor.position
     results: dict[int, FeatureRow | ThicknessRow] = {
         row.set_index: row
@@ -100,13 +104,14 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
         if row.set_index in enabled_at:
             assessor.reinstate()
         if is_assessed(row):
-            assessor.follow(
+            follow(
+                assessor,
                 StoredResult(
                     its_set=row,
                     result=results.get(row.set_index),
                     flags=_accepted_flags(catalogue, row),
                     waveform=partial(first_waveform, archive, row),
-                )
+                ),
             )
     if NEVER in enabled_at:
         assessor.reinstate()

@@ -9,16 +9,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
 
 from pydantic import ValidationError
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource
 
 from daq_service.settings.instruments import ParametersError, with_defaults
+from daq_service.settings.tables import KeyPath, Tables, flattened, nested
 from daq_service.settings.tree import HASHED_OUT, Settings
 from hardware_drivers.errors import ConfigurationError
-
-KeyPath = tuple[str, ...]
 
 RENAMED: Mapping[str, str | None] = {}
 """Keys or tables of earlier versions: dotted path (``*``: any one name) to today's path with as many ``*``,
@@ -34,16 +31,7 @@ SHOWN = 12
 class _Stored(Settings):
     """The tree without the environment, which belongs to today's start."""
 
-    @classmethod
-    def settings_customise_sources(
-        cls,
-        settings_cls: type[BaseSettings],
-        init_settings: PydanticBaseSettingsSource,
-        env_settings: PydanticBaseSettingsSource,
-        dotenv_settings: PydanticBaseSettingsSource,
-        file_secret_settings: PydanticBaseSettingsSource,
-    ) -> tuple[PydanticBaseSettingsSource, ...]:
-        return (init_settings,)
+    reads_environment = False
 
 
 def stored_settings(values: Mapping[str, object]) -> Settings:
@@ -57,7 +45,7 @@ def stored_settings(values: Mapping[str, object]) -> Settings:
     return _Stored(**renamed(values))
 
 
-def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
+def renamed(values: Mapping[str, object]) -> Tables:
     """Return nested tables with current names, without removed keys, with earlier values of new keys."""
     # What a version wrote has all its tables; one that a person wrote and left out means today's defaults.
     before = {path: value for key, value in BEFORE.items() if (path := tuple(key.split(".")))[0] in values}
@@ -65,7 +53,7 @@ def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
     return nested(before | {path: value for path, value in moved if path})
 
 
-def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
+def differences(stored: Mapping[str, object], given: Settings) -> list[str]:
     """Return the differences in meaning between a stored configuration and the given one, by key.
 
     Parameters
@@ -125,7 +113,7 @@ def _with_current_defaults(settings: Settings) -> Settings:
         return settings
 
 
-def _unknown(values: Mapping[str, Any]) -> set[KeyPath]:
+def _unknown(values: Tables) -> set[KeyPath]:
     try:
         _Stored(**values)
     except ValidationError as error:
@@ -135,13 +123,13 @@ def _unknown(values: Mapping[str, Any]) -> set[KeyPath]:
 
 
 def _is_hashed_out(path: KeyPath) -> bool:
-    below: Any = HASHED_OUT
+    below: object = HASHED_OUT
     for name in path:
-        if name not in below:
+        if not isinstance(below, Mapping | set) or name not in below:
             return False
-        if isinstance(below, set) or below[name] is True:
+        below = below[name] if isinstance(below, Mapping) else True
+        if below is True:
             return True
-        below = below[name]
     return False
 
 
@@ -164,23 +152,3 @@ def _path(location: tuple[int | str, ...]) -> KeyPath:
 
 def _value(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
     return json.dumps(flat[path]) if path in flat else "no value"
-
-
-def flattened(values: Mapping[str, Any], above: KeyPath = ()) -> dict[KeyPath, Any]:
-    """Return the values by the path of each key; an empty table and a list count as values."""
-    flat: dict[KeyPath, Any] = {}
-    for name, value in values.items():
-        below = isinstance(value, Mapping) and value
-        flat |= flattened(value, (*above, name)) if below else {(*above, name): value}
-    return flat
-
-
-def nested(values: Mapping[KeyPath, Any]) -> dict[str, Any]:
-    """Return nested tables from values by path; the inverse of `flattened`."""
-    tree: dict[str, Any] = {}
-    for path, value in values.items():
-        below = tree
-        for name in path[:-1]:
-            below = below.setdefault(name, {})
-        below[path[-1]] = value
-    return tree

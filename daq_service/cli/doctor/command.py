@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import click
+import orjson
 
 from daq_service.cli.doctor.check import Check, check_of_finding, exit_code, failure
 from daq_service.cli.doctor.machine import machine_checks
@@ -57,7 +55,8 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
         checks += trial.checks
     code = exit_code(checks)
     if as_json:
-        click.echo(json.dumps(_plain(_report(settings, folder, checks, trial, code)), allow_nan=False))
+        report = _report(settings, folder, checks, trial, code)
+        click.echo(orjson.dumps(report, option=orjson.OPT_SERIALIZE_NUMPY))  # it writes NaN as null
     else:
         _print_table(checks, trial)
     return code
@@ -120,7 +119,8 @@ def rig_checks(
     for item in instruments:
         name = KNOWN_AS.get(item.name, item.name)
         if set(item.kind.packages(item.parameters)) & missing:
-            yield _needs_package(name)
+            found = "not looked at: a package they need is missing"
+            yield _skipped(name, found, "install what failed above, then look again")
         elif driven and "supply" in item.serves:
             yield _skipped(name, "its own process has the port", "see `solimon status`")
         else:
@@ -133,24 +133,18 @@ def rig_checks(
                 yield failure(name, error, "see what its maker says of it")
 
 
-def _needs_package(name: str) -> Check:
-    """Return the skipped check of an instrument whose package is missing."""
-    found = "not looked at: a package they need is missing"
-    return _skipped(name, found, "install what failed above, then look again")
-
-
 def _skipped(name: str, found: str, remedy: str) -> Check:
     """Return a skipped check."""
-    return Check(area="rig", name=name, state="skipped", found=found, remedy=remedy)
+    return Check("rig", name, "skipped", found, remedy)
 
 
 def _recorder(owner: str) -> Check:
     """Return the check for a recorder that owns the folder."""
     name = "recorder"
     if not owner:
-        return Check(area="recorder", name=name, found="no recorder owns the data folder")
+        return Check("recorder", name, "ok", "no recorder owns the data folder")
     problem, _, remedy = owner.partition("; ")
-    return Check(area="recorder", name=name, state="fail", found=problem, remedy=remedy)
+    return Check("recorder", name, "fail", problem, remedy)
 
 
 def _skipped_instruments(instruments: Sequence[Instrument]) -> Iterator[Check]:
@@ -187,7 +181,7 @@ def _print_table(checks: list[Check], trial: Trial | None) -> None:
 
 def _report(
     settings: Settings, folder: Path, checks: list[Check], trial: Trial | None, code: int
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return the results for JSON."""
     return {
         "configuration_hash": settings.configuration_hash(),
@@ -197,14 +191,3 @@ def _report(
         "checks": [asdict(check) for check in checks],
         "strike": None if trial is None else trial.as_row(),
     }
-
-
-def _plain(value: object) -> object:
-    """Replace NaN and infinities by None for JSON."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, dict):
-        return {key: _plain(below) for key, below in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(below) for below in value]
-    return value

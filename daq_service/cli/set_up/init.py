@@ -5,11 +5,10 @@ from __future__ import annotations
 import difflib
 import json
 import tomllib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import tomlkit
 from pydantic import ValidationError
@@ -22,46 +21,13 @@ from daq_service.processes.printing import print_result
 from daq_service.settings.commented import commented_toml, switched_on
 from daq_service.settings.file import checked_settings, config_file, placeholders
 from daq_service.settings.schema import settings_schema
-from daq_service.settings.stored import KeyPath, flattened, nested, stored_settings
+from daq_service.settings.stored import stored_settings
+from daq_service.settings.tables import KeyPath, Tables, flattened, nested
 from daq_service.settings.tree import Settings
 from hardware_drivers.playback.parameters import TdmsMapping
 
 SCHEMA = "settings.schema.json"
 OF_THE_TWIN = ("chain", "plate", "corrosion", "twin")
-HEADS = {
-    "twin": """
-A test on the physics twin: the experiment of "Highly nonlinear solitary waves for the detection of localized
-corrosion". Every key of it stands here; config/simulated.toml gives the sources of its values.
-
-solimon check-config FILE   says what it will do
-solimon run FILE            runs it""",
-    "playback": """
-A recording takes the place of the instruments. Positions, schedule and shots of a set must be those of the
-recording: docs/how-to/play-back-recorded-shots.md.
-
-solimon check-config FILE   says what it will do
-solimon run FILE            plays it""",
-    "rig": """
-The paper's experiment on real instruments: solitary-wave transducers B, C, D on one PXIe-6386, the ultrasonic
-probe A on a PXI(e)-5122, a 10 V supply on a serial line, and the wall clock.
-
-Replace every PLACEHOLDER: `solimon check-config FILE` lists those that are left, and nothing runs before.
-Other values are the paper's, or assumptions: measure yours. In this order: docs/how-to/wire-the-rig.md (other
-boards, too), be-safe.md, install-the-ni-driver.md, day-one.md.
-
-Take out the tables of what you do not have. A line that begins with a `#` right before a key or a table is
-switched off; take the `#` away to switch it on.
-
-Instruments of other makers, or boards that only strike or only digitize: rig.kind = "mixed", told in
-docs/reference/configuration.md.""",
-}
-"""What a person reads first, by the kind of file."""
-SET_UP = """Written by `solimon setup` for {instruments}.
-{struck}
-
-solimon check-config FILE   says what it will do
-solimon doctor FILE         looks at rig, folder and computer once more; then docs/how-to/day-one.md
-solimon run FILE            runs it"""
 
 
 def write_configuration(
@@ -86,7 +52,7 @@ def write_configuration(
     if not missing:
         settings_of(values, off, file)
     schema = refuse_what_is_there(file)
-    write_file(file, values, head=HEADS[kind].strip(), off=off)
+    write_file(file, values, head=_head(kind), off=off)
     keys = [".".join(key) for key in missing]
     result = {"kind": kind, "file": str(file), "schema": str(schema), "placeholders": keys}
     fill_in = [f"to fill in: {key}" for key in keys]
@@ -102,7 +68,7 @@ def schema_text() -> str:
 # What is written -------------------------------------------------------------------------------------
 
 
-def laboratory() -> tuple[dict[str, Any], set[KeyPath]]:
+def laboratory() -> tuple[Tables, set[KeyPath]]:
     """Read the values of the shipped laboratory.toml, and the tables that it switches off."""
     text = config_file("laboratory.toml").read_text(encoding="utf-8")
     values, active = tomllib.loads(switched_on(text)), flattened(tomllib.loads(text))
@@ -110,16 +76,16 @@ def laboratory() -> tuple[dict[str, Any], set[KeyPath]]:
     return values, {table for table in tables if not any(_is_in(key, [table]) for key in active)}
 
 
-def _twin() -> dict[str, Any]:
+def _twin() -> Tables:
     """Read the values of the shipped configuration of the twin."""
     return tomllib.loads(config_file("simulated.toml").read_text(encoding="utf-8"))
 
 
-def _playback(source: Path) -> dict[str, Any]:
+def _playback(source: Path) -> Tables:
     """Return the configuration of a recorded test, or that of the paper for other files."""
     if not source.exists():
         raise UsageError(f"{source} is not there; give the folder or file of the recording")
-    playback: dict[str, Any] = {"source": str(source.absolute()), "format": "archive"}
+    playback: Tables = {"source": str(source.absolute()), "format": "archive"}
     experiment = read_experiment(source) if source.is_dir() else None
     values = _twin()
     if experiment is not None:
@@ -142,7 +108,7 @@ def _playback(source: Path) -> dict[str, Any]:
     return {**values, "rig": {"kind": "playback", "playback": playback}}
 
 
-def _assigned(values: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:
+def _assigned(values: Tables, assignments: Sequence[str]) -> Tables:
     """Replace values by ``KEY=VALUE``; a ``*`` in a key matches any part."""
     keys = {".".join(path): path for path in flattened(values)}
     filled = flattened(values)
@@ -156,7 +122,7 @@ def _assigned(values: Mapping[str, Any], assignments: Sequence[str]) -> dict[str
     return nested(filled)
 
 
-def _read(text: str, *, like: Any) -> Any:
+def _read(text: str, *, like: object) -> object:
     """Parse a value of the type of another one."""
     if isinstance(like, str):
         return text
@@ -166,7 +132,7 @@ def _read(text: str, *, like: Any) -> Any:
         raise UsageError(f"--set: {text} is no TOML value: {error}; write one like {like}") from error
 
 
-def _table(values: Mapping[str, Any], name: str) -> KeyPath:
+def _table(values: Tables, name: str) -> KeyPath:
     """Return the path of a named table."""
     tables = {".".join(key[:depth]): key[:depth] for key in flattened(values) for depth in range(1, len(key))}
     if name not in tables:
@@ -180,7 +146,7 @@ def _no_such(name: str, known: Collection[str], option: str) -> UsageError:
     return UsageError(f"{option}: there is no {name!r} here" + (f"; did you mean {near[0]}?" if near else ""))
 
 
-def _without(values: Mapping[str, Any], off: Collection[KeyPath]) -> dict[str, Any]:
+def _without(values: Tables, off: Collection[KeyPath]) -> Tables:
     """Return the values without switched-off tables."""
     return nested({key: value for key, value in flattened(values).items() if not _is_in(key, off)})
 
@@ -193,6 +159,11 @@ def _is_in(key: KeyPath, tables: Collection[KeyPath]) -> bool:
 # Files -----------------------------------------------------------------------------------------------
 
 
+def _head(name: str) -> str:
+    """Return what a person reads first in a kind of file."""
+    return (Path(__file__).parent / "heads" / f"{name}.txt").read_text(encoding="utf-8").rstrip()
+
+
 def head_of(instruments: Collection[str], struck: Collection[str]) -> str:
     """Return the head of a file of `solimon setup`: instruments and strikes."""
     sentence = (
@@ -200,7 +171,7 @@ def head_of(instruments: Collection[str], struck: Collection[str]) -> str:
         if struck
         else "Nothing was struck: range, level and holdoff are a guess."
     )
-    return SET_UP.format(instruments=", ".join(sorted(instruments)), struck=sentence)
+    return _head("setup").format(instruments=", ".join(sorted(instruments)), struck=sentence)
 
 
 def refuse_what_is_there(file: Path) -> Path:
@@ -218,19 +189,16 @@ def refuse_what_is_there(file: Path) -> Path:
     return schema
 
 
-def settings_of(values: Mapping[str, Any], off: Collection[KeyPath], file: Path) -> Settings:
+def settings_of(values: Tables, off: Collection[KeyPath], file: Path) -> Settings:
     """Return the settings of the new file; UsageError as for a file that is read."""
     return checked_settings(_without(values, off), file.absolute())
 
 
-def write_file(file: Path, values: Mapping[str, Any], *, head: str, off: Collection[KeyPath]) -> None:
+def write_file(file: Path, values: Tables, *, head: str, off: Collection[KeyPath]) -> None:
     """Write a commented configuration and its schema."""
-    _write(refuse_what_is_there(file), schema_text())
-    _write(file, commented_toml(values, head=head, switched_off=off))
-
-
-def _write(path: Path, text: str) -> None:
+    schema, text = refuse_what_is_there(file), commented_toml(values, head=head, switched_off=off)
     try:
-        path.write_text(text, encoding="utf-8", newline="\n")
+        schema.write_text(schema_text(), encoding="utf-8", newline="\n")
+        file.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
-        raise UsageError(f"cannot write {path}: {error.strerror}; choose another place") from error
+        raise UsageError(f"cannot write {error.filename}: {error.strerror}; choose another place") from error

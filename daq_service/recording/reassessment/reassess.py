@@ -16,14 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures
-from daq_service.acquisition.taken_set import due_of, features_of, features_of_a_rehearsal
-from daq_service.alarms.states import (
-    AFTER_ACKNOWLEDGEMENT,
-    Change,
-    Moment,
-    acknowledge,
-    reset,
-)
+from daq_service.acquisition.schedule import due_of
+from daq_service.acquisition.shot_features import features_of, features_of_a_rehearsal
+from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge, reset
+from daq_service.alarms.states import Change, Moment
 from daq_service.archive import FolderSetReader, SetRecord, SetReference
 from daq_service.assessment.baseline_lifecycle import STEPS, baseline_range
 from daq_service.assessment.transaction import Transaction
@@ -38,7 +34,6 @@ from daq_service.catalogue.rows import (
     ShotRow,
 )
 from daq_service.catalogue.store import open_for_a_while
-from daq_service.recording.cost import Cost
 from daq_service.recording.reassessment.changes import LIFE
 from daq_service.recording.reassessment.stored_runs import Progress, repeat_action, row_of, runs_of
 from daq_service.recording.set_assessor import SetAssessor
@@ -146,7 +141,7 @@ class _Reassessment:
         self._stored, self._again, self._settings = stored, again, settings
         self._features, self._read_set = features, read_set
         self._epoch_utc_ns = stored.experiment_row().epoch_utc_ns
-        self._assessor = SetAssessor(settings, archive, again, None, Cost(), rehearsal=settings.rig.dry_run)
+        self._assessor = SetAssessor(settings, archive, again, None, rehearsal=settings.rig.dry_run)
         # Alarms of this assessment are not reported.
         logging.getLogger(SetAssessor.__module__).addHandler(logging.NullHandler())
 

@@ -9,8 +9,8 @@ from sqlalchemy import JSON, BigInteger, Boolean, Float, Integer, String
 
 from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue import rows
-from daq_service.catalogue.rows import payload_of
-from daq_service.catalogue.tables import ROW_CRC32, metadata, table_of
+from daq_service.catalogue.tables import ROW_CRC32, TABLES, metadata
+from daq_service.catalogue.writer import payload_of
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import with_utc
 
@@ -36,12 +36,12 @@ def alternatives(of_type):
 
 def test_every_table_holds_one_kind_of_row():
     assert len(KINDS) == 15
-    assert {table_of(kind).name for kind in KINDS} == set(metadata.tables)
+    assert {TABLES[kind].name for kind in KINDS} == set(metadata.tables)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_table_has_the_fields_of_its_row_in_their_order(kind):
-    table = table_of(kind)
+    table = TABLES[kind]
     assert list(table.columns.keys()) == [*(field.name for field in dataclasses.fields(kind)), ROW_CRC32]
     assert [column.name for column in table.primary_key] == [dataclasses.fields(kind)[0].name]
     hints = {column.name: alternatives(column.type) for column in rows.columns_of(kind)}
@@ -67,7 +67,7 @@ def test_a_table_has_the_fields_of_its_row_in_their_order(kind):
     ],
 )
 def test_a_column_is_of_the_type_that_holds_its_values(kind, name, of_type):
-    assert type(table_of(kind).c[name].type) is of_type
+    assert type(TABLES[kind].c[name].type) is of_type
 
 
 def test_features_are_the_columns_of_a_feature_row():

@@ -10,8 +10,8 @@ from support.memory_line import SETS, Line, healthy, memory_settings
 from daq_service.clock import parse_utc, wall
 from daq_service.errors import UsageError
 from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
-from daq_service.recording.persistence import OVERSLEPT
 from daq_service.recording.resumed_time import EARLIEST_UTC, hour_0, time_before
+from daq_service.recording.storage_alarms import OVERSLEPT
 from hardware_drivers.measurement import ShotKey
 
 IN_2010_NS = parse_utc("2010-01-01T00:00:00Z")
@@ -45,8 +45,7 @@ class Laboratory:
         self.line.heartbeat = Heartbeat(
             self.line.folder,
             deadline_s=60.0,
-            mono_ns=lambda: self.machine.elapsed_ns,
-            boot=lambda: self.machine.boot,
+            machine=self.machine.machine_clock(),
             time_line=clock.line,
         )
         self.machine.after(30.0, lambda: pytest.fail(f"still {self.doing}"))

@@ -1,0 +1,101 @@
+"""Diagnosis of a transducer's sets, and the class of the change on which its alarm is based."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from analysis.diagnosis.diagnose import Diagnosis, diagnosis_of, state_with_diagnosis
+from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
+from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, logs_of
+from analysis.diagnosis.slopes import COMPONENTS
+from analysis.diagnosis.state import DiagnosisState, with_confirmation, with_set
+from analysis.errors import SingularCovarianceError
+from analysis.statistics.rules import MINIMUM_SETS
+
+NOT_THE_WALL = frozenset({SENSOR, COUPLING, ENVIRONMENT})
+"""A change with one of these diagnoses raises no wall alarm."""
+ASKED_TWICE = frozenset({WALL, COUPLING})
+"""Diagnoses that two consecutive sets or a confirmation set have confirmed."""
+
+Values = Mapping[str, float | None]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Origin:
+    """Class of a transducer's change on which its alarm is based.
+
+    Attributes
+    ----------
+    not_wall
+        The diagnosis is one of `NOT_THE_WALL`.
+    n_contrary
+        Consecutive sets with a contrary diagnosis.
+    """
+
+    not_wall: bool = False
+    n_contrary: int = 0
+
+
+def next_origin(before: Origin, cause: str, *, was_active: bool, n: int) -> Origin:
+    """Update the origin with the diagnosis of one more set; an uncertain diagnosis does not switch the alarm.
+
+    Parameters
+    ----------
+    was_active
+        The alarm was active before this set. Then only a confirmed diagnosis or n consecutive sets change
+        its kind, and `OK` changes nothing.
+    """
+    if was_active and cause == OK:
+        return before
+    not_wall = cause in NOT_THE_WALL
+    if not_wall == before.not_wall:
+        return Origin(not_wall=not_wall)
+    n_contrary = before.n_contrary + 1
+    if not was_active or cause in ASKED_TWICE or n_contrary >= n:
+        return Origin(not_wall=not_wall)
+    return replace(before, n_contrary=n_contrary)
+
+
+def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> DiagnosisParameters | None:
+    """Fit the parameters to a baseline's sets by index; None if too few, or a feature is constant."""
+    logs = [(index, components) for index, values in healthy if (components := logs_of(values)) is not None]
+    if len(logs) < MINIMUM_SETS:
+        return None
+    first = logs[0][0]
+    history = np.full((logs[-1][0] - first + 1, len(COMPONENTS)), np.nan)
+    for index, components in logs:
+        history[index - first] = components
+    try:
+        return diagnosis_parameters(history, first)
+    except SingularCovarianceError:
+        return None
+
+
+def diagnose_scheduled(
+    memory: DiagnosisState, design: DiagnosisParameters, index: int, values: Values, *, suspicious: bool
+) -> tuple[DiagnosisState, Diagnosis | None]:
+    """Update the state with a scheduled set and diagnose; None if the set lacks a feature."""
+    logs = logs_of(values)
+    if logs is None:
+        return memory, None
+    return _diagnose(with_set(memory, design.mean, logs, index), design, suspicious=suspicious)
+
+
+def diagnose_confirmation(
+    memory: DiagnosisState, design: DiagnosisParameters, values: Values
+) -> tuple[DiagnosisState, Diagnosis | None]:
+    """Update the state with a confirmation set and diagnose; None if the set lacks a feature."""
+    logs = logs_of(values)
+    if logs is None:
+        return memory, None
+    return _diagnose(with_confirmation(memory, design.mean, logs), design, suspicious=True)
+
+
+def _diagnose(
+    memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool
+) -> tuple[DiagnosisState, Diagnosis]:
+    assessment = diagnosis_of(memory, design, suspicious=suspicious)
+    return state_with_diagnosis(memory, assessment), assessment
