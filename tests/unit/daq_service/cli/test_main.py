@@ -261,6 +261,12 @@ def test_the_recorder_imports_no_compiler_plots_web_or_drivers():
     assert not set(done.stdout.split()) & slow
 
 
+def test_the_twin_imports_no_solver_that_only_a_new_plate_needs() -> None:
+    code = "import sys, simulator.specimen; print(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & {"scipy.optimize", "scipy.sparse.linalg", "scipy.stats"}
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_each_shell_gets_its_completion_script(shell):
     done = solimon_here("completion", shell, env={})
