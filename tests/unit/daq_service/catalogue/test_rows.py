@@ -1,6 +1,7 @@
 """A row, its table, its response and its event have the same columns."""
 
 import dataclasses
+import inspect
 from types import NoneType
 from typing import Literal, get_args, get_origin
 
@@ -11,7 +12,7 @@ from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue import rows
 from daq_service.catalogue.rows import payload_of
 from daq_service.catalogue.tables import ROW_CRC32, metadata, table_of
-from daq_service.web.answers import models
+from daq_service.web.answers import models, vocabulary
 from daq_service.web.answers.json_answer import with_utc
 
 KINDS = [kind for kind in vars(rows).values() if isinstance(kind, type) and issubclass(kind, rows.Row)]
@@ -101,8 +102,21 @@ def test_a_response_is_its_row_with_times_as_text_and_an_age(kind):
     model = getattr(models, kind.__name__)
     assert model.model_validate(answer, strict=True).model_dump(exclude_unset=True) == answer
     for column in rows.columns_of(kind):
-        if column.description is not None:
-            assert model.model_fields[column.name].description == column.description
+        if column.description is not None and column.name != "due_utc_ns":
+            assert model.model_fields[column.published_name].description == column.description
+
+
+GENERAL = {"id", "name", "kind", "author", "note", "text", "n_sets", "from_h", "utc", "created_utc"}
+GENERAL |= {"due_utc", "evidence", "wall_utc"}
+"""Names with the same meaning in answers that are no rows: `vocabulary` describes them."""
+
+
+def test_a_column_is_described_on_its_row_and_nowhere_else():
+    source = inspect.getsource(vocabulary)
+    for kind in ANSWERED:
+        for column in rows.columns_of(kind):
+            assert column.description is not None or column.published_name in GENERAL, (kind, column.name)
+            assert f'"{column.description}"' not in source, (kind, column.name)
 
 
 def test_an_event_payload_omits_an_id_that_is_not_assigned():
