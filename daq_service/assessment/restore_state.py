@@ -88,6 +88,8 @@ def _restored(assessor: A, settings: Settings, catalogue: Catalogue, archive: Se
 
 def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetReader) -> None:
     """Update the state of a new assessor with all stored sets in the order of their commits."""
+    from daq_service.assessment.follow_rows import follow
+
     position = assessor.position
     results: dict[int, FeatureRow | ThicknessRow] = {
         row.set_index: row
@@ -102,13 +104,14 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
         if row.set_index in enabled_at:
             assessor.reinstate()
         if is_assessed(row):
-            assessor.follow(
+            follow(
+                assessor,
                 StoredResult(
                     its_set=row,
                     result=results.get(row.set_index),
                     flags=_accepted_flags(catalogue, row),
                     waveform=partial(first_waveform, archive, row),
-                )
+                ),
             )
     if NEVER in enabled_at:
         assessor.reinstate()

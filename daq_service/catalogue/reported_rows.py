@@ -14,8 +14,6 @@ from typing import Any, TypeVar
 import orjson
 import sqlalchemy as sa
 
-from daq_service.catalogue.connection import json_text
-from daq_service.catalogue.row_checksum import DamagedRow, checked_values
 from daq_service.catalogue.rows import (
     AssessmentRow,
     EnvironmentRow,
@@ -26,10 +24,12 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     values,
 )
-from daq_service.catalogue.tables import events, table_of
+from daq_service.catalogue.stored_rows import DamagedRow, checked_values, json_text
+from daq_service.catalogue.tables import TABLES, events
 
 R = TypeVar("R", bound=Row)
 Key = tuple[type[Row], str | None, int | None]
+Payload = dict[str, Any]
 
 ROW_OF_EVENT: Mapping[str, type[Row]] = MappingProxyType(
     {
@@ -47,12 +47,12 @@ ROW_OF_EVENT: Mapping[str, type[Row]] = MappingProxyType(
 _SETS_AT_ONCE = 500
 
 
-def reported(row: Row) -> dict[str, Any]:
+def reported(row: Row) -> Payload:
     """Return a row of a set as the payload of its event."""
     return _payload(values(row))
 
 
-def _payload(columns: dict[str, Any]) -> dict[str, Any]:
+def _payload(columns: Payload) -> Payload:
     """Turn the columns of a row of a set into the payload of its event."""
     columns.pop("id")
     if "file_sha256" in columns:  # it comes when the file is made, which differs between two runs of one test
@@ -76,7 +76,7 @@ def without_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[Event
     ]
 
 
-def joined(reports: Iterable[R], payloads: Mapping[Key, dict[str, Any]]) -> list[R]:
+def joined(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
     """Return events with the rows that they report, by their keys; everything else unchanged."""
     return [
         replace(event, payload=payloads[_key(event)])
@@ -86,7 +86,7 @@ def joined(reports: Iterable[R], payloads: Mapping[Key, dict[str, Any]]) -> list
     ]
 
 
-def payloads_of(rows: Iterable[Row]) -> dict[Key, dict[str, Any]]:
+def payloads_of(rows: Iterable[Row]) -> dict[Key, Payload]:
     """Return the payloads of the events that report rows, by their keys."""
     return {_key_of_row(row): reported(row) for row in rows}
 
@@ -100,7 +100,7 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
         The row of an event is lost, or one does not match its checksum.
     """
     reporting = [event for event in reports if isinstance(event, EventRow) and is_joined(event)]
-    payloads: dict[Key, dict[str, Any]] = {}
+    payloads: dict[Key, Payload] = {}
     for kind in dict.fromkeys(ROW_OF_EVENT[event.kind] for event in reporting):
         of_kind = [event for event in reporting if ROW_OF_EVENT[event.kind] is kind]
         positions = sorted({event.position for event in of_kind if event.position is not None})
@@ -120,14 +120,14 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
 
 def of_sets(kind: type[Row]) -> sa.Select[Any]:
     """Return the query for the rows of a kind that events report."""
-    table = table_of(kind)
+    table = TABLES[kind]
     statement = sa.select(table)
     return statement.where(table.c.shot_index.is_(None)) if kind is FeatureRow else statement
 
 
 def _of_some_sets(kind: type[Row]) -> sa.Select[Any]:
     """Return the query for the rows of some positions and sets, which finds each in an index."""
-    table = table_of(kind)
+    table = TABLES[kind]
     statement = of_sets(kind).where(table.c.set_index.in_(sa.bindparam("indices", expanding=True)))
     if "position" in table.c:
         return statement.where(table.c.position.in_(sa.bindparam("positions", expanding=True)))
@@ -140,7 +140,7 @@ _OF_SOME_SETS = {kind: _of_some_sets(kind) for kind in ROW_OF_EVENT.values()}
 def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
     """Yield id and description of the events whose row is lost."""
     for event_kind, kind in ROW_OF_EVENT.items():
-        table = table_of(kind)
+        table = TABLES[kind]
         of_event = [table.c[name] == events.c[name] for name in ("position", "set_index") if name in table.c]
         row = of_sets(kind).where(*of_event).correlate(events)
         statement = sa.select(events.c.id).where(
@@ -151,16 +151,16 @@ def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
 
 
 def _lost_row(event_id: int | None, kind: type[Row]) -> str:
-    return f"row {event_id} of table {events.name} lacks its row of table {table_of(kind).name}"
+    return f"row {event_id} of table {events.name} lacks its row of table {TABLES[kind].name}"
 
 
-def _is_part(payload: Mapping[str, Any], columns: Mapping[str, Any]) -> bool:
+def _is_part(payload: Payload, columns: Payload) -> bool:
     """Return whether a payload has no other values than a row: an earlier version had fewer columns."""
     part = {name: columns[name] for name in payload if name in columns}
     return part == payload or _as_stored(part) == _as_stored(payload)
 
 
-def _as_stored(payload: Mapping[str, Any]) -> Any:
+def _as_stored(payload: Payload) -> object:
     """Return a payload as it is read again: what is not finite is not available."""
     return orjson.loads(json_text(payload))
 

@@ -368,7 +368,7 @@ class TrendBlockRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssessorStateRow(Row):
-    """Part of the state of a position's assessor after its newest set (`assessment.position_assessors`)."""
+    """Part of the state of a position's assessor after its newest set (`recording.set_assessor`)."""
 
     place: str  # position and part
     position: str
@@ -382,6 +382,13 @@ MEASURED_BY: Mapping[Method, type[FeatureRow] | type[ThicknessRow]] = MappingPro
     {SOLITARY_WAVE: FeatureRow, PULSE_ECHO: ThicknessRow}
 )
 """Kind of row of each method's results."""
+MEASURED: Mapping[type[Row], tuple[str, ...]] = MappingProxyType(
+    {
+        kind: tuple(item.name for item in fields(kind) if item.default is None and item.name != "id")
+        for kind in MEASURED_BY.values()
+    }
+)
+"""Names of the nullable values of a measurement's row."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -400,30 +407,17 @@ class Column:
         return self.name.removesuffix("_ns") if is_time else self.name
 
 
-def columns_of(kind: type[Row]) -> tuple[Column, ...]:
-    """Return the columns of a kind of row in order; the first one is the primary key."""
+def columns_of(kind: type[object]) -> tuple[Column, ...]:
+    """Return the fields of a dataclass in order; of a kind of row, the first one is the primary key."""
     columns = []
-    hints = get_type_hints(kind, include_extras=True)
-    for name in kind.__slots__:
-        hint = hints[name]
+    for name, hint in get_type_hints(kind, include_extras=True).items():
         of_type, description = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
-        columns.append(
-            Column(name=name, type=of_type, nullable=NoneType in get_args(of_type), description=description)
-        )
+        if name != "__slots__":
+            nullable = NoneType in get_args(of_type)
+            columns.append(Column(name=name, type=of_type, nullable=nullable, description=description))
     return tuple(columns)
-
-
-def measured(kind: type[Row]) -> tuple[str, ...]:
-    """Return the names of the nullable values of a measurement's row."""
-    return tuple(item.name for item in fields(kind) if item.default is None and item.name != "id")  # type: ignore[arg-type] # every kind of row is a dataclass
 
 
 def values(row: Row) -> dict[str, Any]:
     """Return the value of each column by name, in order; nested values are not copied."""
     return {name: getattr(row, name) for name in row.__slots__}
-
-
-def payload_of(row: Row, *, last: str = "") -> dict[str, object]:
-    """Return the row as payload of its event: without a missing id, column ``last`` at the end."""
-    columns = {name: value for name, value in values(row).items() if name != "id" or value is not None}
-    return {name: columns[name] for name in sorted(columns, key=last.__eq__)}

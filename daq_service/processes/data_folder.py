@@ -11,11 +11,11 @@ import logging
 import os
 import sys
 import uuid
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from datetime import datetime
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import orjson
 from pydantic import ValidationError
@@ -119,7 +119,7 @@ DRIVE_LOCK, DRIVE_FILE = "drive.lock", "drive.json"
 WRITE_TEST = ".write-test-"
 
 
-def backup_identity(folder: Path) -> dict[str, Any] | None:
+def backup_identity(folder: Path) -> Mapping[str, object] | None:
     """Read which test a folder is a backup of; empty where the file is invalid, None if it is no backup."""
     try:
         found = orjson.loads(read_shared(folder / BACKUP_FILE))

@@ -15,7 +15,8 @@ from pydantic import ValidationError
 from daq_service.errors import UsageError
 from daq_service.settings.instruments import ParametersError, with_defaults
 from daq_service.settings.schema import describe, known_keys
-from daq_service.settings.stored import KeyPath, Tables, flattened, renamed
+from daq_service.settings.stored import renamed
+from daq_service.settings.tables import KeyPath, Tables, flattened
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError

@@ -6,10 +6,10 @@ from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from types import ModuleType
-from typing import Any
 
 from fastapi import APIRouter, Depends, FastAPI
 from starlette.middleware.gzip import GZipMiddleware
+from starlette.types import Lifespan
 
 from daq_service.settings.tree import Settings
 from daq_service.web import assets
@@ -23,28 +23,20 @@ from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
 from daq_service.web.routes import (
     alarms,
-    annotation,
-    assessments,
     audit,
     commands,
-    environment,
-    features,
     files,
-    fits,
-    guidance,
     health,
     info,
     metrics,
     notifications,
     page,
-    record_files,
     report,
+    row_listings,
     session,
     set_waveforms,
-    sets,
     stream,
     tables,
-    thickness,
     tokens,
     transducers,
     trends,
@@ -52,33 +44,25 @@ from daq_service.web.routes import (
     waveforms,
 )
 from daq_service.web.routes.admission import admit
-from daq_service.web.routes.description import describe_names, describe_roles
+from daq_service.web.routes.description import OpenApi, describe_names, describe_roles
 from daq_service.web.routes.parameters import refuse_unknown_parameters
 
 RESOURCES = (
     info,
     health,
     transducers,
-    sets,
+    row_listings,
     set_waveforms,
-    features,
-    thickness,
-    assessments,
     trends,
-    fits,
     waterfall,
     waveforms,
-    environment,
     alarms,
-    annotation,
-    guidance,
     commands,
     stream,
     session,
     tokens,
     audit,
     tables,
-    record_files,
     files,
     notifications,
     report,
@@ -96,18 +80,22 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 class Service(FastAPI):
     """FastAPI whose errors are problem details, and whose description knows them."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, title: str, description: str, lifespan: Lifespan[FastAPI] | None = None) -> None:
         super().__init__(
+            title=title,
+            version=API_VERSION,
+            description=description,
+            lifespan=lifespan,
             openapi_url="/api/v1/openapi.json",
             # Their pages load scripts from elsewhere; this service works offline.
             docs_url=None,
             redoc_url=None,
             default_response_class=JsonAnswer,
-            **options,
+            generate_unique_id_function=lambda route: route.name,  # the function, as in the table of roles
         )
         problem.install(self)
 
-    def openapi(self) -> dict[str, Any]:
+    def openapi(self) -> OpenApi:
         """Return the OpenAPI 3.1 description of the interface."""
         if self.openapi_schema is None:
             document = super().openapi()
@@ -133,17 +121,16 @@ def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False
     return app
 
 
-def application_of_test(**options: Any) -> Service:
+def application_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
     """Return an application with the routes of a test; `context.context_at` selects the test of a request."""
     app = Service(
-        title="solimon",
-        version=API_VERSION,
-        description=(
+        "solimon",
+        (
             "State, history and live stream of a test with highly nonlinear solitary waves. Values are "
             "SI with the unit in the name; `null` is not available; times are RFC 3339 UTC beside hours "
             "of the experiment; ranges are half-open; errors are problem details (RFC 9457)."
         ),
-        **options,
+        lifespan,
     )
     app.include_router(health.probes)
     app.include_router(metrics.probes)

@@ -16,7 +16,7 @@ EXEMPT = {"tell": "method of Python's file objects"}
 
 
 @cache
-def refused(identifier: str) -> bool:
+def refused(identifier):
     """Return whether a part of an identifier, in the singular or plural, is on the list."""
     parts = re.sub(r"([a-z0-9])([A-Z])", r"\1_\2", identifier).lower().split("_")
     return any(

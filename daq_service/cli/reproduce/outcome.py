@@ -14,14 +14,40 @@ from typing import Any
 
 import click
 
-from daq_service.cli.reproduce.comparison import Row, tally
+from daq_service.cli.reproduce.comparison import NOT_AVAILABLE, Row, tally
 from daq_service.cli.reproduce.evidence import Evidence
+from daq_service.cli.reproduce.item import Item, Table
 from daq_service.cli.reproduce.output import RECORD, REPORT, write_json
-from daq_service.cli.reproduce.page import Report, Section, report_page
 from daq_service.recording.provenance import PACKAGES
 from daq_service.shared_file import write_output
+from daq_service.web.templates import render
 
 TITLE = "The paper's evaluation, reproduced"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """One item in the report.
+
+    Attributes
+    ----------
+    files
+        Names of its files in the same folder.
+    png
+        The figure; empty where there is none.
+    table
+        Shown in full where there is no figure.
+    trouble
+        Why it could not be made; empty where it was.
+    """
+
+    item: Item
+    files: Sequence[str] = ()
+    png: bytes = b""
+    table: Table | None = None
+    rows: Sequence[Row] = ()
+    notes: Sequence[str] = ()
+    trouble: str = ""
 
 
 @dataclass(slots=True)
@@ -32,7 +58,7 @@ class Outcome:
     started_s: float
     facts: dict[str, Any]
     sections: list[Section] = field(default_factory=list)
-    slips: list[dict[str, str]] = field(default_factory=list)
+    slips: list[dict[str, object]] = field(default_factory=list)
 
     @property
     def rows(self) -> list[Row]:
@@ -75,7 +101,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
     names
         Of the items that were wanted; those that are not made are named as missing.
     """
-    finished = {section.name for section in run.sections}
+    finished = {section.item.name for section in run.sections}
     missing = [name for name in names if name not in finished]
     elapsed_s = time.monotonic() - run.started_s
     counts = tally(run.rows)
@@ -86,7 +112,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
         "out": str(run.out),
         "report": str(run.out / REPORT),
         "items": {
-            section.name: {"files": list(section.files), "not_available": section.trouble or None}
+            section.item.name: {"files": list(section.files), "not_available": section.trouble or None}
             for section in run.sections
         },
         "missing": missing,
@@ -116,7 +142,14 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
         remarks.append(f"Interrupted before {', '.join(missing)} could be made.")
     write_output(
         run.out / REPORT,
-        report_page(Report(title=TITLE, facts=facts, sections=run.sections, remarks=remarks)),
+        render(
+            "reproduction.html.j2",
+            title=TITLE,
+            run_facts=facts,
+            remarks=remarks,
+            sections=run.sections,
+            not_available=NOT_AVAILABLE,
+        ),
     )
     write_json(run.out / RECORD, result)
     return result

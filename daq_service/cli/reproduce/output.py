@@ -56,7 +56,7 @@ def csv_bytes(table: Table) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.columns)
-    for row in zip(*table.columns.values(), strict=True):
+    for row in table.rows():
         writer.writerow([_cell(value) for value in row])
     return text.getvalue().encode()
 

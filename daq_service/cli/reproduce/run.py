@@ -23,9 +23,8 @@ from daq_service.cli.reproduce.evidence import Evidence, read_evidence
 from daq_service.cli.reproduce.experiment import BY_SETS, check_test_folder, run_test, twin_settings
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product
 from daq_service.cli.reproduce.items import chosen_items
-from daq_service.cli.reproduce.outcome import Outcome, facts_of_test, finish, print_result, versions
+from daq_service.cli.reproduce.outcome import Outcome, Section, facts_of_test, finish, print_result, versions
 from daq_service.cli.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output
-from daq_service.cli.reproduce.page import Section
 from daq_service.cli.reproduce.style import house_style, rendered
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 from daq_service.processes.child import stop_on_signals
@@ -131,7 +130,7 @@ def reproduce_into(
             stop.set()  # ends the recorder, which the thread waits for
             raise
     order = [item.name for item in items]
-    run.sections.sort(key=lambda section: order.index(section.name))
+    run.sections.sort(key=lambda section: order.index(section.item.name))
     return finish(run, [item.name for item in items], interrupted=stop.is_set()), not stop.is_set()
 
 
@@ -202,21 +201,14 @@ def _make(
             product = item.make(Material(evidence=test, results=results))
         except NotAvailableError as error:
             report(f"{item.name}: not available: {error}")
-            run.sections.append(
-                Section(
-                    name=item.name,
-                    title=item.title,
-                    shows=item.shows,
-                    trouble=str(error),
-                    rows=not_made(item.name, str(error)),
-                )
-            )
+            rows = not_made(item.name, str(error))
+            run.sections.append(Section(item=item, trouble=str(error), rows=rows))
             return
         pictures = {} if product.drawing is None else rendered(product.drawing)
     run.sections.append(_written(run, item, product, pictures, origin=_origin(test)))
     if item.name == SLIPS:
-        columns = product.tables[""].columns
-        run.slips = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+        table = product.tables[""]
+        run.slips = [dict(zip(table.columns, row, strict=True)) for row in table.rows()]
     report(f"{item.name}: done ({time.monotonic() - run.started_s:.0f} s)")
 
 
@@ -231,9 +223,7 @@ def _written(
     for name, content in contents.items():
         write_output(run.out / name, content)
     return Section(
-        name=item.name,
-        title=item.title,
-        shows=item.shows,
+        item=item,
         files=tuple(contents),
         png=pictures.get("png", b""),
         table=product.tables.get("") if product.drawing is None else None,
@@ -249,9 +239,9 @@ def _origin(test: Evidence | None) -> str:
     if test is None:
         return "shipped"
     # What raises an alarm changes no measurement.
-    alarms = {**test.configuration.get("alarms", {}), **BY_SETS["alarms"]}
-    shipped = not differences({**test.configuration, "alarms": alarms}, twin_settings(test.seed))
-    return "shipped" if shipped else "twin"
+    alarms = {**test.settings.alarms.model_dump(mode="json"), **BY_SETS["alarms"]}
+    stored = {**test.settings.model_dump(mode="json"), "alarms": alarms}
+    return "twin" if differences(stored, twin_settings(test.seed)) else "shipped"
 
 
 def _stem(name: str) -> str:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from itertools import pairwise
 
 from analysis.errors import AnalysisError
@@ -12,7 +12,8 @@ from analysis.statistics.limits import false_alarm_rate
 from daq_service.cli.reproduce import models
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product, Table
 from daq_service.cli.reproduce.model_figures import DEPTHS, STRONG_GAMMA_N_S_PER_M
-from daq_service.cli.reproduce.paper_values import TABLE_2_PRINT, printed
+from daq_service.cli.reproduce.paper_values import printed
+from daq_service.cli.reproduce.texts import TEXTS, Slip
 from simulator.chain.hertz_contact import indentation_m, sphere_on_flat_stiffness, sphere_on_sphere_stiffness
 from simulator.materials import bending_stiffness_n_m, plane_modulus_pa, shear_modulus_pa
 from simulator.parameters.chain import ChainParameters
@@ -174,13 +175,13 @@ def _thresholds(material: Material) -> str:
 
 
 def _row_5(_: Material) -> str:
-    rounded_e = float(TABLE_2_PRINT[5][5])
+    rounded_e = printed("table2", "restitution_5")
     row = models.zeners_table()[4]
     return (
         f"lambda is {row.inelasticity:.3f}; the printed AR is that of the rounded e, {rounded_e:g}^1.2 = "
         f"{amplitude_ratio(rounded_e):.3f}; by the rule of the other rows it is {row.amplitude_ratio:.3f}, "
         "and from the printed lambda "
-        f"{amplitude_ratio(approximate_restitution(float(TABLE_2_PRINT[5][4]))):.3f}"
+        f"{amplitude_ratio(approximate_restitution(printed('table2', 'inelasticity_5'))):.3f}"
     )
 
 
@@ -242,80 +243,24 @@ def _nothing(_: Material) -> str:
     return "nothing to compute"
 
 
-@dataclass(frozen=True, slots=True)
-class Slip:
-    """One slip: the printed text, the correct one, and the function of our finding."""
-
-    where: str
-    prints: str
-    right: str
-    finding: Callable[[Material], str]
-
-
-SLIPS = (
-    Slip(
-        "eq. 1",
-        "dashpot gamma d_dot [d]_+",
-        "its unit is N m; meant is gamma d_dot while in contact",
-        _dashpot,
-    ),
-    Slip("eq. 2, i = N", "the bracket as it stands", "the bracket to the power -1", _bracket),
-    Slip("eq. 5", "E / (1 + nu)", "the shear modulus E / (2 (1 + nu))", _shear),
-    Slip(
-        "section 3; figures 12, 13",
-        "5 x 5 Gauss points on 4-node plate elements; 319 us with AR 0.837",
-        "such elements lock where they are larger than the thickness",
-        _locking,
-    ),
-    Slip(
-        "section 3",
-        "a finer mesh changes nothing",
-        "the deflection under a point load on a Mindlin plate grows with the logarithm of the mesh",
-        _point_load,
-    ),
-    Slip("figure 13(b)", "AR decreases as the depth increases", "AR is not monotonic", _not_monotonic),
-    Slip(
-        "section 4, eq. 13",
-        "the offset of eq. 13 comes from precompression and damping",
-        "eq. 13 lies above the very chain it approximates",
-        _equation_13,
-    ),
-    Slip(
-        "figure 14",
-        "limits 19.7, 17.1, 14.4 (caption) and 21.9, 15.4, 13.7 (text)",
-        "two different sets; computed here, never taken over",
-        _thresholds,
-    ),
-    Slip("Table 2, row 5", "lambda 0.273, AR 0.585", "0.272 and 0.582", _row_5),
-    Slip(
-        "section 4, figure 15",
-        "4.2 mm, about 36 % thinner; in good agreement with a core of 3.8 mm",
-        "34 %; the core is 40 % thinner",
-        _thinner,
-    ),
-    Slip("sections 2 and 3", "nu 0.28 and nu 0.3", "one of them", _poisson),
-    Slip("section 4, figure 9", "half of the acoustic energy comes back", "AR is a ratio of forces", _energy),
-    Slip("figure 12", "gamma has minor effects on the ToF", "not at 1,000 N s/m", _gamma),
-    Slip(
-        "figure 15",
-        "text: thickness on the left axis",
-        "caption: travel time on the left, thickness on the right",
-        _nothing,
-    ),
-    Slip(
-        "section 2",
-        "non-ferromagnetic stainless steel 440C",
-        "440C is martensitic and ferromagnetic",
-        _nothing,
-    ),
-    Slip("sections 2 and 3", "no liquid in any model", "the wet face carries salt solution", _salt_water),
-    Slip(
-        "section 4",
-        "AR in 'figures 9(a) and 8(b)'; ToF in 'figures 8(a), (b), 15(a) and (b)'",
-        "figure 8 shows ToF, figure 15 ultrasound",
-        _nothing,
-    ),
-)
+_FINDINGS: Mapping[str, Callable[[Material], str]] = {
+    "dashpot": _dashpot,
+    "bracket": _bracket,
+    "shear": _shear,
+    "locking": _locking,
+    "point_load": _point_load,
+    "not_monotonic": _not_monotonic,
+    "equation_13": _equation_13,
+    "thresholds": _thresholds,
+    "row_5": _row_5,
+    "thinner": _thinner,
+    "poisson": _poisson,
+    "energy": _energy,
+    "gamma": _gamma,
+    "salt_water": _salt_water,
+    "nothing": _nothing,
+}
+SLIPS = TEXTS.slips
 
 
 def make_slips(material: Material) -> Product:
@@ -332,15 +277,9 @@ def make_slips(material: Material) -> Product:
 def _finding_of(slip: Slip, material: Material) -> str:
     """Return the finding of a slip, or why there is none."""
     try:
-        return slip.finding(material)
+        return _FINDINGS[slip.finding](material)
     except NotAvailableError as error:
         return f"not available: {error}"
 
 
-SLIP_LIST = Item(
-    name="slips",
-    title="Slips of the paper",
-    shows="What the paper prints, what is right, and what our models and our test say.",
-    make=make_slips,
-    jobs=_JOBS,
-)
+SLIP_LIST = Item(name="slips", make=make_slips, jobs=_JOBS)

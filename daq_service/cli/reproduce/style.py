@@ -76,6 +76,28 @@ def name_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
         axis.set_title(f"({letter}) {title}")
 
 
+def panels_of_positions(
+    positions: Sequence[str], label: str, *, height_in: float
+) -> tuple[Figure, list[Axes]]:
+    """Create a panel over the hours of the test for each position."""
+    figure, axes = sheet(1, len(positions), height_in=height_in, sharex=True, sharey=True)
+    for axis in axes:
+        axis.set_xlabel("hour of the test (h)")
+    axes[0].set_ylabel(label)
+    name_panels(axes, [f"position {name}" for name in positions])
+    return figure, axes
+
+
+def legend_below(figure: Figure, *, ncols: int) -> None:
+    """Add a legend of all panels, each label once."""
+    handles = {
+        label: handle
+        for axis in figure.axes
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=ncols)
+
+
 METADATA: Any = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "solimon"}}
 
 

@@ -6,7 +6,6 @@ import logging
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.evidence import baseline_doubts
@@ -151,7 +150,7 @@ def _newest_rows(latest: LatestRows) -> dict[str, object]:
 
 def _present_state(
     folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LatestRows
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return what changes with time: state, age, limits, the interval of a thickness."""
     data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
@@ -180,7 +179,7 @@ def _rate_of(row: BaselineRow | None) -> dict[str, object] | None:
     }
 
 
-def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, Any]:
+def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, object]:
     """Return the number of confirmation sets, the newest result, and how many are left today."""
     rows = catalogue.rows(SetRow, purpose="confirmation")
     newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
@@ -207,7 +206,7 @@ def _next_due_h(settings: Settings, done: int) -> float | None:
     return hours[0] if hours else None
 
 
-def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
+def _open_orders(catalogue: Catalogue) -> list[dict[str, object]]:
     """Return the commands that wait for the recorder or are executed; not the expired ones."""
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
     commands_with_time = [(row, remaining_now_s(row)) for row in waiting]
@@ -219,11 +218,11 @@ def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
     ]
 
 
-def _gaps(catalogue: Catalogue) -> list[dict[str, Any]]:
+def _gaps(catalogue: Catalogue) -> list[dict[str, object]]:
     """Return the newest incomplete sets with positions and causes."""
-    found: dict[tuple[int, str, str | None], dict[str, Any]] = {}
+    found: dict[tuple[int, str, str | None, float], list[str]] = {}
     for row in catalogue.newest_gaps(GAPS_A_POSITION):
-        gap = {"set_index": row.set_index, "due_h": row.due_h, "state": row.state, "cause": row.cause}
-        key = (row.set_index, row.state, row.cause)
-        found.setdefault(key, {**gap, "positions": []})["positions"].append(row.position)
-    return [found[key] for key in sorted(found, key=lambda key: key[0])][-GAPS_A_POSITION:]
+        found.setdefault((row.set_index, row.state, row.cause, row.due_h), []).append(row.position)
+    names = ("set_index", "state", "cause", "due_h", "positions")
+    newest = sorted(found.items(), key=lambda item: item[0][0])[-GAPS_A_POSITION:]
+    return [dict(zip(names, (*gap, positions), strict=True)) for gap, positions in newest]

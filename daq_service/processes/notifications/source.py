@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
 
-from daq_service.catalogue.reader import Catalogue
+from daq_service.catalogue.reader import Catalogue, Filters
 from daq_service.catalogue.rows import MEASURED_BY, AlarmRow, EventRow, FeatureRow
 from daq_service.catalogue.store import NoDataYetError
 from daq_service.processes.freshness import Freshness
-from daq_service.processes.notifications.messages import AlarmChange, Test, test_of
+from daq_service.processes.notifications.messages import AlarmChange, HeartbeatFacts, Test, test_of
 from daq_service.settings.tree import Settings
 
 
@@ -81,15 +80,15 @@ class Source:
             if settings is None or item.set_index is None:
                 continue
             kind = MEASURED_BY[settings.method]
-            filters: Any = {"scope": "set"} if kind is FeatureRow else {}
-            rows = self._catalogue().rows(
-                kind, position=item.position, set_index=item.set_index, limit=1, **filters
-            )
+            filters: Filters = {"position": item.position, "set_index": item.set_index}
+            if kind is FeatureRow:
+                filters["scope"] = "set"
+            rows = self._catalogue().rows(kind, limit=1, **filters)
             if rows:
                 qualities[item.event_id] = rows[0].quality
         return qualities
 
-    def read_heartbeat_facts(self) -> dict[str, object]:
+    def read_heartbeat_facts(self) -> HeartbeatFacts:
         """Return the status of the recorder and the ages of the last set (h of the test) and write (s)."""
         try:
             catalogue = self._catalogue()

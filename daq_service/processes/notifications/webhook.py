@@ -130,7 +130,8 @@ def post(
     timer = threading.Timer(bounds.total_s, abort)
     timer.daemon = True
     timer.start()
-    connection = http.client.HTTPConnection(parts.hostname, parts.port or _port(parts.scheme))
+    default_port = 443 if parts.scheme == "https" else 80
+    connection = http.client.HTTPConnection(parts.hostname, parts.port or default_port)
     connection.auto_open = 0
     try:
         connection.sock = _connect(parts.scheme, connection.host, connection.port, bounds, cut)
@@ -138,42 +139,30 @@ def post(
         response = connection.getresponse()
         return _outcome(response.status, response.headers.get("Retry-After"), now_s())
     except (OSError, http.client.HTTPException, ValueError) as error:
-        description = (
-            f"no answer within {bounds.total_s:g} s"
-            if timed_out.is_set()
-            else _error_description(error, bounds)
-        )
-        return Outcome(ok=False, description=description)
+        late = f"no answer within {bounds.total_s:g} s" if timed_out.is_set() else ""
+        return Outcome(ok=False, description=late or _error_description(error, bounds))
     finally:
         timer.cancel()
         cut.set_socket(None)
         connection.close()
 
 
-def _port(scheme: str) -> int:
-    return 443 if scheme == "https" else 80
-
-
 def _connect(scheme: str, host: str, port: int, bounds: Bounds, cut: Cut) -> socket.socket:
-    plain = socket.create_connection((host, port), timeout=bounds.connect_s)
+    connection = socket.create_connection((host, port), timeout=bounds.connect_s)
     try:
-        plain.settimeout(bounds.read_s)
-        cut.set_socket(plain)
-        if scheme == "http":
-            return plain
-        wrapped = ssl.create_default_context().wrap_socket(
-            plain, server_hostname=host, do_handshake_on_connect=False
-        )
+        connection.settimeout(bounds.read_s)
+        cut.set_socket(connection)
+        if scheme == "https":
+            tls = ssl.create_default_context()
+            connection = wrapped = tls.wrap_socket(
+                connection, server_hostname=host, do_handshake_on_connect=False
+            )
+            cut.set_socket(wrapped)
+            wrapped.do_handshake()
     except BaseException:
-        plain.close()
+        connection.close()
         raise
-    try:
-        cut.set_socket(wrapped)
-        wrapped.do_handshake()
-    except BaseException:
-        wrapped.close()
-        raise
-    return wrapped
+    return connection
 
 
 def _outcome(status: int, retry_after: str | None, now_s: float) -> Outcome:

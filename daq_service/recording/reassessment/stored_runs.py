@@ -12,8 +12,8 @@ from typing import TypeVar
 
 from daq_service.alarms.states import RETIRING
 from daq_service.assessment.baseline_lifecycle import STEPS
-from daq_service.assessment.position_assessors import PositionAssessors
 from daq_service.catalogue.rows import EventRow, Row
+from daq_service.recording.set_assessor import PositionAssessors
 
 R = TypeVar("R", bound=Row)
 Run = tuple[int | None, Sequence[EventRow]]

@@ -41,9 +41,5 @@ def _mark(listing: str) -> str:
 
 def _refused(cursor: str) -> Problem:
     return Problem(
-        422,
-        "invalid-cursor",
-        "The cursor does not belong here",
-        f"cursor is {cursor!r}; it is none that this listing gave out with these filters.",
-        "Leave `cursor` out to start again, and pass `next_cursor` on unchanged with the same filters.",
+        "invalid-cursor", f"cursor is {cursor!r}; it is none that this listing gave out with these filters."
     )

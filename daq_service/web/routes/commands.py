@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Request
 from pydantic import Field
@@ -58,14 +58,12 @@ async def _execute_dependency(context: ContextOf, request: Request, person: Pers
 
 
 ExecuteOf = Annotated[ExecuteCommand, Depends(_execute_dependency)]
-ACCEPTS: Any = {
-    "status_code": 202,
-    "response_model": CommandRow,
-    "responses": problems(400, 403, 404, 409, 413, 422, 503),
-}
+_accepts = partial(
+    router.post, status_code=202, response_model=CommandRow, responses=problems(400, 403, 404, 409, 413, 503)
+)
 
 
-@router.post("/commands", operation_id="create_command", **ACCEPTS)
+@_accepts("/commands")
 def create_command(command: AnyCommand, execute: ExecuteOf) -> Response:
     """Store a command; the recorder executes it within 60 s, or it expires (see its `state`).
 
@@ -75,7 +73,7 @@ def create_command(command: AnyCommand, execute: ExecuteOf) -> Response:
     return execute(command)
 
 
-@router.post("/alarms/{alarm_id}/acknowledge", operation_id="acknowledge_alarm", **ACCEPTS)
+@_accepts("/alarms/{alarm_id}/acknowledge")
 def acknowledge_alarm(
     alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], body: Acknowledgement, execute: ExecuteOf
 ) -> Response:
@@ -84,12 +82,7 @@ def acknowledge_alarm(
     return execute(AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
 
 
-@router.get(
-    "/commands/{command_id}",
-    operation_id="get_command",
-    response_model=CommandRow,
-    responses=problems(404, 422, 503),
-)
+@router.get("/commands/{command_id}", response_model=CommandRow, responses=problems(404, 503))
 def get_command(command_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
     """Return a command with its state and result."""
     return JsonAnswer(_row(context, command_id))
@@ -157,7 +150,7 @@ def _facts(context: Context, catalogue: Catalogue) -> Facts:
     )
 
 
-def _row(context: Context, command_id: int) -> dict[str, Any]:
+def _row(context: Context, command_id: int) -> dict[str, object]:
     state_and_time = command_state(context.catalogue(), command_id)
     if state_and_time is None:
         raise not_found(

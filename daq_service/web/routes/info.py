@@ -22,7 +22,7 @@ RIG_LABELS = {
 }
 
 
-@router.get("/info", operation_id="get_info", response_model=Info, responses=problems(503))
+@router.get("/info", response_model=Info, responses=problems(503))
 def get_info(context: ContextOf) -> JsonAnswer:
     """Return name, rig, clock, schedule, limits and positions of the test."""
     settings = context.settings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from daq_service.alarms.evidence import evidence_sentences
@@ -39,17 +39,17 @@ ALWAYS = (
 )
 """Columns that identify rows and state their quality: these are always exported."""
 
-Columns = Mapping[str, list[Any]]
+Columns = dict[str, list[Any]]
 """Values of a page by column, nested ones as JSON text; None: not available."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class TableKind:
     """Exportable table; ``unscheduled_set``: it also has rows of confirmation sets."""
 
     row: type[Row]
     description: str
-    fixed: Filters
+    fixed: Filters = field(default_factory=Filters)
     unscheduled_set: bool = False
 
     @property
@@ -59,30 +59,17 @@ class TableKind:
 
 
 TABLES: Mapping[str, TableKind] = {
-    "sets": TableKind(
-        row=SetRow, description="Planned sets and what became of them", fixed={}, unscheduled_set=True
-    ),
-    "features": TableKind(
-        row=FeatureRow, description="Features of sets", fixed={"scope": "set"}, unscheduled_set=True
-    ),
+    "sets": TableKind(SetRow, "Planned sets and what became of them", unscheduled_set=True),
+    "features": TableKind(FeatureRow, "Features of sets", {"scope": "set"}, unscheduled_set=True),
     "shot_features": TableKind(
-        row=FeatureRow, description="Features of single shots", fixed={"scope": "shot"}, unscheduled_set=True
+        FeatureRow, "Features of single shots", {"scope": "shot"}, unscheduled_set=True
     ),
-    "assessments": TableKind(
-        row=AssessmentRow,
-        description="Squared distances, limits and outliers",
-        fixed={},
-        unscheduled_set=True,
-    ),
-    "thickness": TableKind(row=ThicknessRow, description="Pulse-echo results", fixed={}),
-    "environment": TableKind(row=EnvironmentRow, description="Supply and climate around each set", fixed={}),
-    "baselines": TableKind(
-        row=BaselineRow, description="Baselines of every position: lifecycle, quality, limits", fixed={}
-    ),
-    "alarms": TableKind(row=AlarmRow, description="Alarms with their proofs", fixed={}),
-    "annotations": TableKind(
-        row=AnnotationRow, description="What people noted of hours of the test", fixed={}
-    ),
+    "assessments": TableKind(AssessmentRow, "Squared distances, limits and outliers", unscheduled_set=True),
+    "thickness": TableKind(ThicknessRow, "Pulse-echo results"),
+    "environment": TableKind(EnvironmentRow, "Supply and climate around each set"),
+    "baselines": TableKind(BaselineRow, "Baselines of every position: lifecycle, quality, limits"),
+    "alarms": TableKind(AlarmRow, "Alarms with their proofs"),
+    "annotations": TableKind(AnnotationRow, "What people noted of hours of the test"),
 }
 
 

@@ -9,11 +9,12 @@ from importlib.metadata import version
 from typing import Any
 
 from daq_service.cli.maintenance.acceptance import conduct, faults, sets
-from daq_service.cli.maintenance.acceptance.criteria import Comparison, Criterion, compared, outcome
+from daq_service.cli.maintenance.acceptance.criteria import Comparison, compared, outcome
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
 from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table
 from daq_service.cli.maintenance.acceptance.readings import readings
 from daq_service.cli.maintenance.acceptance.series import series_of
+from daq_service.cli.maintenance.acceptance.texts import Criterion
 from daq_service.clock import format_utc
 
 SHAPE = "1"
@@ -46,8 +47,8 @@ def build_report(evidence: Evidence, criteria: Sequence[Criterion]) -> Acceptanc
         *sets.set_quantities(evidence),
         *conduct.time_quantities(evidence),
         *conduct.recorder_quantities(evidence),
-        *conduct.growth_quantities(evidence, "resident_bytes", "memory of the recorder", "B"),
-        *conduct.growth_quantities(evidence, "open_handles", "open handles of the recorder", "1"),
+        *conduct.growth_quantities(evidence, "resident_bytes"),
+        *conduct.growth_quantities(evidence, "open_handles"),
         *conduct.disk_quantities(evidence),
         *conduct.clock_quantities(evidence),
         *faults.fault_quantities(evidence),
@@ -156,13 +157,13 @@ def as_json(report: AcceptanceReport) -> dict[str, object]:
         "identity": dict(report.identity),
         "quantities": {item.name: _as_object(item) for item in report.quantities},
         "tables": {
-            table.name: [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+            table.name: [dict(zip(table.text.columns, row, strict=True)) for row in table.rows]
             for table in report.tables
         },
         "series": {
             item.name: {
-                "unit": item.unit,
-                "how": item.how,
+                "unit": item.text.unit,
+                "how": item.text.how,
                 "hours": list(item.hours),
                 "values": list(item.values),
                 "missing": item.missing,

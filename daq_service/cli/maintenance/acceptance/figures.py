@@ -25,7 +25,7 @@ def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
         axes = figure.subplots()
         for from_h, until_h in gaps:
             axes.axvspan(from_h, until_h, color=VERMILLION, alpha=0.15, linewidth=0.0)
-        others = (series.others or {}).items()
+        others = series.others.items()
         for (name, (hours, values)), colour in zip(others, (GREY, ORANGE), strict=False):
             scaled = [value / scale for value in values]
             style = "--" if name in DASHED else "-"
@@ -44,14 +44,14 @@ def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
         axes.set_ylabel("number" if unit == "1" else unit)
         axes.margins(x=0.01)
         axes.ticklabel_format(axis="y", style="plain", useOffset=False)
-        if series.unit == "1":
+        if series.text.unit == "1":
             axes.set_ylim(bottom=0.0)
         return rendered(figure, ["png"])["png"]
 
 
 def _scale(series: Series) -> tuple[float, str]:
     """Return scale and unit for a series."""
-    if series.unit != "B":
-        return 1.0, series.unit
+    if series.text.unit != "B":
+        return 1.0, series.text.unit
     maximum = max(abs(value) for value in series.values)
     return next(((scale, name) for scale, name in SCALES if maximum >= scale), (1.0, "B"))

@@ -17,7 +17,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import create_engine, event
 
 import daq_service.catalogue.migrations as migrations
-from daq_service.catalogue import connection, open_catalogue
+from daq_service.catalogue import connection, open_catalogue, stored_rows
 from daq_service.catalogue.earlier_names import current_row, derived_uuid
 from daq_service.catalogue.errors import CatalogueError, SchemaVersionError
 from daq_service.catalogue.rows import (
@@ -66,7 +66,7 @@ def upgrade(path, revision):
     engine = connection.make_engine(path, writable=True)
     config = Config()
     config.set_main_option("script_location", str(Path(migrations.__file__).parent))
-    with connection.writing(engine) as opened:
+    with stored_rows.writing(engine) as opened:
         config.attributes["connection"] = opened
         command.upgrade(config, revision)
     engine.dispose()

@@ -11,6 +11,7 @@ import tarfile
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from support.archived_sets import make_set
@@ -29,7 +30,7 @@ from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import SetRow
 from daq_service.cli.maintenance import backup, command
 from daq_service.cli.maintenance.backup import back_up
-from daq_service.cli.maintenance.verify import KINDS, verify_folder
+from daq_service.cli.maintenance.verify import DamageKind, verify_folder
 from daq_service.cli.status.facts import describe_status
 from daq_service.commands.audit import Audit
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError
@@ -109,7 +110,8 @@ def test_each_corruption_is_reported_with_exit_code_4(folder):
         ("set_missing", FILES[2], None),
     }
     assert all(
-        item["kind"] in KINDS and "repair --from BACKUP" in item["description"] for item in answer["damage"]
+        item["kind"] in get_args(DamageKind) and "repair --from BACKUP" in item["description"]
+        for item in answer["damage"]
     )
     assert state_of(folder) == before
 
@@ -209,7 +211,7 @@ def notify_three(folder):
     ("write_three", "kind", "file", "remedy"),
     [
         (audit_three, "audit", "audit.jsonl", "keep it, and look at a backup"),
-        (notify_three, "notifications", "notifications.jsonl", "a message may go out once more"),
+        (notify_three, "notifications", "notifications.jsonl", "a message may be repeated"),
     ],
 )
 @pytest.mark.parametrize(
@@ -369,6 +371,7 @@ import daq_service.web.app, daq_service.web.server
 print(*(name for name in ("pandas", "scipy", *%r) if name in sys.modules))
 
 from pathlib import Path
+from typing import get_args
 from fastapi.testclient import TestClient
 from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.processes.data_folder import settings_of_folder

@@ -8,6 +8,7 @@ import webbrowser
 from typing import Any
 
 import pytest
+from support.machine import clock_in_seconds
 from support.waiting import happened
 
 from daq_service.cli import terminal
@@ -22,7 +23,7 @@ class Log:
 
     def __init__(self) -> None:
         self.now_s = 0.0
-        self.report = ProgressReport(mono_s=lambda: self.now_s)
+        self.report = ProgressReport(machine=clock_in_seconds(lambda: self.now_s))
 
     def after(self, seconds: float, event: str, **values: Any) -> None:
         self.now_s += seconds

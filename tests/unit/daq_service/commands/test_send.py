@@ -11,6 +11,7 @@ from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import NoDataYetError
+from daq_service.clock import MachineClock
 from daq_service.commands.send import send_command
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.data_folder import own_data_folder
@@ -40,7 +41,13 @@ class RecorderDouble:
             self.catalogue.finish_command(row.id, *self.answer)
 
     def send(self, kind: str, **options: Any) -> int:
-        options = {"note": "", "author": "ann", "as_json": False, "wait": self.look, **options}
+        options = {
+            "note": "",
+            "author": "ann",
+            "as_json": False,
+            "machine": MachineClock(sleep=self.look),
+            **options,
+        }
         return send_command(kind, config=None, data_dir=self.folder, **options)
 
 
@@ -118,7 +125,7 @@ def test_a_started_command_without_a_result_is_reported_as_unknown(recorder: Rec
             "pause",
             note="why",
             carried_out_within_s=0.0,
-            wait=lambda seconds: recorder.catalogue.start_command(1),
+            machine=MachineClock(sleep=lambda seconds: recorder.catalogue.start_command(1)),
         )
     assert silence.value.exit_code == 5
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
+from support.machine import clock_in_seconds
 from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import SetCommit
@@ -34,7 +35,7 @@ class Bench:
         self.stage: Stage = ""
         monkeypatch.setattr("daq_service.processes.recorder_watch.Freshness", lambda *_: self.fresh())
         self.watch = RecorderWatch(
-            SETTINGS, folder, lambda: self.catalogue, mono_s=lambda: 3600.0 * self.hour
+            SETTINGS, folder, lambda: self.catalogue, machine=clock_in_seconds(lambda: 3600.0 * self.hour)
         )
 
     def fresh(self) -> SimpleNamespace:
@@ -133,7 +134,10 @@ def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
     bench.store()
     bench.status, bench.hour = "not_responding", 9.0
     bench.watch = RecorderWatch(
-        SETTINGS, bench.watch._folder, lambda: bench.catalogue, mono_s=lambda: 3600.0 * bench.hour
+        SETTINGS,
+        bench.watch._folder,
+        lambda: bench.catalogue,
+        machine=clock_in_seconds(lambda: 3600.0 * bench.hour),
     )
     bench.watch.check()
     assert bench.alarms() == []

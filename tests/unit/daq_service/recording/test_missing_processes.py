@@ -12,7 +12,7 @@ from daq_service.alarms.process_trouble import recorder_condition
 from daq_service.alarms.states import Moment, update
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow
-from daq_service.clock import boot_name
+from daq_service.clock import MachineClock, boot_name
 from daq_service.processes.heartbeat import (
     WEB_ANSWERS_WITHIN_S,
     WEB_DEADLINE_S,
@@ -36,13 +36,16 @@ class Web:
 
     def beat(self, stage: Stage = "", boot: str | None = boot_name()) -> None:
         heartbeat = Heartbeat(
-            self.folder, deadline_s=WEB_DEADLINE_S, file=WEB_FILE, mono_ns=self.mono_ns, boot=lambda: boot
+            self.folder,
+            deadline_s=WEB_DEADLINE_S,
+            file=WEB_FILE,
+            machine=MachineClock(mono_ns=self.mono_ns, boot_name=lambda: boot),
         )
         heartbeat.stage = stage
         heartbeat.beat("serving")
 
     def watch(self) -> WebWatch:
-        return WebWatch(self.folder, mono_ns=self.mono_ns)
+        return WebWatch(self.folder, machine=MachineClock(mono_ns=self.mono_ns))
 
     def looks(self, watch: WebWatch, seconds: float) -> Iterator[bool | None]:
         for _ in range(round(seconds)):

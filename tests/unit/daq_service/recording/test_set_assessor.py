@@ -12,8 +12,8 @@ from support.synthetic_records import Scene, waveform_of
 from support.table_rows import forget_states
 
 from analysis.statistics.named_limits import LIMITS
+from daq_service.acquisition.schedule import due_of as due_of_record
 from daq_service.acquisition.schedule import plan
-from daq_service.acquisition.taken_set import due_of as due_of_record
 from daq_service.archive.errors import ArchiveReadError
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue

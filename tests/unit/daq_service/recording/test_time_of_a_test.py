@@ -45,8 +45,7 @@ class Laboratory:
         self.line.heartbeat = Heartbeat(
             self.line.folder,
             deadline_s=60.0,
-            mono_ns=lambda: self.machine.elapsed_ns,
-            boot=lambda: self.machine.boot,
+            machine=self.machine.machine_clock(),
             time_line=clock.line,
         )
         self.machine.after(30.0, lambda: pytest.fail(f"still {self.doing}"))

@@ -94,8 +94,7 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
             folder,
             deadline_s=DEADLINE_S,
             notify=report_and_notify,
-            mono_ns=lambda: machine.elapsed_ns,
-            boot=lambda: "it",
+            machine=machine.machine_clock(),
         )
         line = Line(folder, settings=settings, script=script, heartbeat=heartbeat)
         heartbeat.beat("opening the rig")

@@ -11,7 +11,8 @@ from support.waiting import WAIT_S, ended, until
 
 from daq_service.alarms.states import Change, Condition, Moment, update
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import EventRow, payload_of
+from daq_service.catalogue.rows import EventRow
+from daq_service.catalogue.writer import payload_of
 from daq_service.processes.data_folder import BACKUP_FILE
 from daq_service.processes.notifications.delivery_log import LOG_FILE
 from daq_service.processes.notifications.webhook import Bounds
