@@ -46,13 +46,7 @@ class Anomaly(TypedDict):
     rows: list[int]
 
 
-# Words of these keys are refused in identifiers.
-_SensorKeys = TypedDict(  # noqa: UP013
-    "_SensorKeys", {"nothing_judged": str | None, "default_because": str}, total=False
-)
-
-
-class Sensor(_SensorKeys, total=False):
+class Sensor(TypedDict, total=False):
     """Result of a transducer in the JSON; values are None and lists empty where it is refused."""
 
     file: str
@@ -60,6 +54,7 @@ class Sensor(_SensorKeys, total=False):
     features_dropped: list[str]
     columns_assessed: list[str]
     columns_left_out: list[LeftOut]
+    nothing_judged: str | None
     n: int | None
     n_eff: float | None
     phi_pooled: float | None
@@ -68,6 +63,7 @@ class Sensor(_SensorKeys, total=False):
     named: list[Anomaly]
     left_out: list[dict[str, object]]
     limits: dict[str, float]
+    default_because: str
     count: dict[str, int]
     first: dict[str, int | None]
     alarm: AlarmAnswer
@@ -198,25 +194,25 @@ def sensor(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> Sensor
 
 def _refused(answer: Sensor, *, with_rows: bool) -> Sensor:
     """Return the answer with empty results for what it lacks."""
-    empty: Sensor = {
-        "file": "",
-        "refused": None,
-        "features_dropped": [],
-        "columns_assessed": [],
-        "columns_left_out": [],
-        "nothing_judged": None,
-        "n": None,
-        "n_eff": None,
-        "phi_pooled": None,
-        "tail": None,
-        "suspects": [],
-        "named": [],
-        "left_out": [],
-        "limits": {},
-        "count": {},
-        "first": {},
-        "alarm": {"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None},
-    }
+    empty = Sensor(
+        file="",
+        refused=None,
+        features_dropped=[],
+        columns_assessed=[],
+        columns_left_out=[],
+        nothing_judged=None,
+        n=None,
+        n_eff=None,
+        phi_pooled=None,
+        tail=None,
+        suspects=[],
+        named=[],
+        left_out=[],
+        limits={},
+        count={},
+        first={},
+        alarm={"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None},
+    )
     return empty | answer | ({"rows": []} if with_rows else {})
 
 

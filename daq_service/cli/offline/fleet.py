@@ -102,17 +102,15 @@ class SharedAnswer(TypedDict):
     largest_sd: dict[str, float]
 
 
-# Words of these keys are refused in identifiers.
-_FleetKeys = TypedDict("_FleetKeys", {"judged": int, "beside_the_median": bool})  # noqa: UP013
-
-
-class Fleet(_FleetKeys):
+class Fleet(TypedDict):
     """Result of a fleet in the JSON."""
 
     sensors: int
+    judged: int
     false_discovery_rate: float
     fdr_guaranteed: bool
     why: str
+    beside_the_median: bool
     raised: list[Raised]
     explained: list[str]
     kept_back: int
