@@ -217,7 +217,9 @@ class ReceiverQueue:
         current = self._current
         if self._mono_s() < current.next_s:
             return
-        outcome = self._attempt(self._send, self._message(current.changes))
+        test, qualities = self._source.test(), self._source.qualities(current.changes)
+        message = messages.alarm_message(test, self.name, current.changes, qualities, now_ns=self._now_ns())
+        outcome = self._attempt(self._send, message)
         current.attempts += 1
         if outcome.ok:
             self._close(current)
@@ -258,12 +260,6 @@ class ReceiverQueue:
         self.state.gave_up += 1
         log.error("notifications for %s are given up: %s", self.name, description)
         self._log_delivery("gave_up", description, event_ids)
-
-    def _message(self, changes: Sequence[messages.AlarmChange]) -> messages.Message:
-        qualities = self._source.qualities(changes)
-        return messages.alarm_message(
-            self._source.test(), self.name, changes, qualities, now_ns=self._now_ns()
-        )
 
     def _new_message(self, changes: Sequence[messages.AlarmChange]) -> _OpenMessage:
         key = messages.key_of(self._source.test(), self.name, [change.event_id for change in changes])
@@ -317,8 +313,8 @@ class ReceiverQueue:
 
     def _resume(self, event_ids: list[int]) -> None:
         """Restore a message that a crash may have interrupted before its result was logged."""
-        all_changes = [messages.alarm_change_of(row) for row in self._source.events(event_ids)]
-        changes = [item for item in all_changes if item is not None]
+        found = map(messages.alarm_change_of, self._source.events(event_ids))
+        changes = [change for change in found if change is not None]
         if changes:
             self._current = self._new_message(changes)
             self._settled |= set(event_ids)  # not read a second time

@@ -7,7 +7,7 @@ import pytest
 from support.reported_alarms import DEAD, DUTY, TAKEN, Bench, notifying
 
 from daq_service.errors import StorageUnavailableError
-from daq_service.processes.notifications import receiver as receiver_module
+from daq_service.processes.notifications import messages
 from daq_service.processes.notifications.messages import MOST_LISTED
 from daq_service.processes.notifications.receiver import MOST_REFUSALS, is_dead
 from daq_service.processes.notifications.webhook import Outcome
@@ -405,9 +405,9 @@ def test_no_error_of_a_package_and_no_event_ends_a_receivers_thread(make_bench, 
 
     monkeypatch.setattr(bench.line, "_send", fail)
     unreadable, readable = bench.alarms.change("no_reflection"), bench.alarms.change("few_valid_shots")
-    read = receiver_module.alarm_change_of
+    read = messages.alarm_change_of
     monkeypatch.setattr(
-        receiver_module, "alarm_change_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
+        messages, "alarm_change_of", lambda row: {}["kind"] if row.id == unreadable else read(row)
     )
     assert [changes(message) for message in bench.run(30.0)] == [[("few_valid_shots", "raised")]]
     assert bench.log_lines("sent")[0].event_ids == [readable]
