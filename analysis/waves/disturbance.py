@@ -220,7 +220,7 @@ def noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> list[s
         departs = np.array([record.samples_v[between : n * stride : stride] for record in records])
         departs -= coarse[:, :-1] + rise * (between / stride)
         is_near &= np.abs(departs, out=departs) <= STRAIGHT_CODES * code_v[:, None]
-    suspect = (is_near[:, 1:] & is_near[:, :-1]).any(axis=1)
+    suspect = np.asarray((is_near[:, 1:] & is_near[:, :-1]).any(axis=1))
     return [
         _stretches_without_noise(record, rate_hz) if is_suspect else set()
         for record, is_suspect in zip(records, suspect.tolist(), strict=True)

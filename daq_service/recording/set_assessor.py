@@ -306,7 +306,7 @@ class SetAssessor:
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             return
         # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
-        if indices or (self.assessors.reinstated and self._uncommitted is None):
+        if indices or (self.assessors.enabled and self._uncommitted is None):
             transaction.states |= self.assessors.changed_states()
         self._uncommitted = transaction if indices else self._uncommitted
         committed = self._catalogue.commit_set(transaction)
@@ -362,7 +362,7 @@ class PositionAssessors:
 
     Attributes
     ----------
-    reinstated
+    enabled
         A person has enabled a transducer since the states were stored.
     """
 
@@ -371,7 +371,7 @@ class PositionAssessors:
         self._rehearsal, self._configuration_hash = rehearsal, settings.configuration_hash()
         self._assessors: dict[str, Assessor] = {}
         self._stored: dict[str, object] = {}
-        self.reinstated = False
+        self.enabled = False
         for position in settings.positions:
             self[position]  # an error of its state is reported at the start
 
@@ -383,10 +383,10 @@ class PositionAssessors:
             )
         return self._assessors[position]
 
-    def reinstate(self, position: str) -> None:
+    def enable(self, position: str) -> None:
         """Reset the reason why a transducer was disabled: a person has enabled it."""
-        self[position].reinstate()
-        self.reinstated = True
+        self[position].enable()
+        self.enabled = True
 
     def renew(self, position: str) -> None:
         """Assess by what is stored from the next set on: a person has renewed the baseline."""
@@ -415,7 +415,7 @@ class PositionAssessors:
                 baseline_id=assessor.baseline_id,
                 configuration_hash=self._configuration_hash,
             )
-        self.reinstated = False
+        self.enabled = False
         return {row.place: row for row in rows}
 
 

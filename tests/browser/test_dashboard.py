@@ -349,7 +349,7 @@ def test_a_disabled_transducer_is_shown_with_its_reason_and_enabled(ordering):
     page.get_by_role("button", name="Enable C").click()
     expect(page.locator("#disabled button")).to_have_text(SENT)
     answer(filled, "enable", {"position": "C", "note": ""})
-    filled.reinstate("C")
+    filled.enable("C")
     expect(page.locator("#disabled")).to_be_hidden()
     expect(tile).to_have_attribute("data-state", "normal")
 

@@ -304,7 +304,7 @@ def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
         found = axe.run(page)
         assert found.violations_count == 0, found.generate_report()
     filled.say("resume", filled.due[index].due_utc_ns, held="")
-    filled.reinstate("C")
+    filled.enable("C")
 
 
 def test_the_page_is_accessible_while_it_waits_for_the_first_answer(filled, service, browser):
@@ -358,4 +358,4 @@ def test_disabled_and_paused_intervals_are_marked(filled, service, open_page):
     hour = filled.due[index].due_h
     mark = {"from_h": hour, "to_h": hour, "label": "disabled", "tone": "alarm"}
     until(lambda: mark in dashboard(page, "charts.tof.ranges"), "the retirement is marked")
-    filled.reinstate("D")
+    filled.enable("D")

@@ -88,7 +88,7 @@ class Tiles:
 
     def rows(self, width: int, numbers: range) -> Iterator[tuple[int, TileRow]]:
         """Read the sound rows of a level with consecutive numbers."""
-        for tile in range(numbers[0] // ROWS_OF_A_TILE, numbers[-1] // ROWS_OF_A_TILE + 1):
+        for tile in sorted({number // ROWS_OF_A_TILE for number in numbers}):
             start = max(numbers.start, tile * ROWS_OF_A_TILE)
             end = min(numbers.stop, (tile + 1) * ROWS_OF_A_TILE)
             yield from self._sound_rows(width, start, self._read(width, tile, start, end))

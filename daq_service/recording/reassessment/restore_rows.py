@@ -36,7 +36,7 @@ from daq_service.assessment.restore_state import first_waveform, is_assessed
 from daq_service.assessment.results_in_file import find_differences, results_of
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.reported_rows import ROW_OF_EVENT, joined, without_rows
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, joined, payloads_of, without_rows
 from daq_service.catalogue.rows import (
     MEASURED,
     AlarmRow,
@@ -283,7 +283,7 @@ class _Restoration:
             found = find_differences(record.results, again)
             self._result.differing += [f"set {due.set_index}, its file: {difference}" for difference in found]
         self._add_environment(transaction, record)
-        computed = joined(transaction.events, _reported_rows(transaction))
+        computed = joined(transaction.events, payloads_of(_reported_rows(transaction)))
         if events:
             if not damage:
                 self._result.differing += _differences(computed, events)

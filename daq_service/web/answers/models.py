@@ -80,14 +80,14 @@ def _of(kind: type[object], *without: str) -> Callable[[type[A]], type[A]]:
         for column in rows.columns_of(kind):
             if column.name in ("due_utc_ns", *without):
                 continue
+            of_type: object = column.type
+            if column.name == "id":
+                of_type = int
+            elif column.published_name != column.name:
+                of_type = str | None if column.nullable else str
+            fields[column.published_name] = (of_type, Field(description=column.description))
             if column.name == "due_h":
-                fields |= {"due_h": (float, ...), "due_utc": (str, ...)}
-            elif column.name == "id":
-                fields["id"] = (int, ...)
-            elif column.name.endswith("utc_ns"):
-                fields[column.name.removesuffix("_ns")] = (str | None if column.nullable else str, ...)
-            else:
-                fields[column.name] = (column.type, Field(description=column.description))
+                fields["due_utc"] = (str, ...)
         fields |= {name: (field.annotation, field) for name, field in answer.model_fields.items()}
         if fields.keys() & {"due_h", "raised_h"}:
             fields["age_h"] = (float, ...)

@@ -12,6 +12,9 @@ from typing import TypeVar
 
 from pydantic import BaseModel
 
+from daq_service.catalogue.rows import columns_of
+from daq_service.catalogue.tables import TABLES
+
 T = TypeVar("T")
 RATIOS = ("_ratio", "_coefficient", "_fraction", "_probability", "_squared")
 """Suffixes of numbers without a unit; an integer has none: it is a count or an index."""
@@ -30,6 +33,18 @@ class Vocabulary(BaseModel, frozen=True):
 VOCABULARY = Vocabulary.model_validate(
     tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
 )
+
+
+MEANINGS: Mapping[str, str] = {
+    **{
+        column.published_name: column.description
+        for kind in reversed(TABLES)
+        for column in columns_of(kind)
+        if column.description is not None
+    },
+    **VOCABULARY.meanings,
+}
+"""Texts of the file, and those of the columns of catalogue rows; of equal names that of the first row."""
 
 
 def look_up(values: Mapping[str, T], scope: str, name: str) -> T | None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.models import PROBLEMS
-from daq_service.web.answers.vocabulary import RATIOS, VOCABULARY, look_up
+from daq_service.web.answers.vocabulary import MEANINGS, RATIOS, VOCABULARY, look_up
 from daq_service.web.auth.roles import OPERATIONS, ORDERS
 from hardware_drivers.units import unit_of
 
@@ -80,7 +80,7 @@ def describe_names(document: OpenApi) -> None:
 
 def _describe(documented: OpenApi, scope: str, name: str, schema: OpenApi) -> None:
     """Add the description of a name, and the unit of a number (UDUNITS; `own`: stated with the number)."""
-    if (text := look_up(VOCABULARY.meanings, scope, name)) is not None:
+    if (text := look_up(MEANINGS, scope, name)) is not None:
         documented.setdefault("description", text)
     if not holds_numbers(schema):
         return

@@ -13,6 +13,7 @@ from daq_service.catalogue.tables import ROW_CRC32, TABLES, metadata
 from daq_service.catalogue.writer import payload_of
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import with_utc
+from daq_service.web.answers.vocabulary import VOCABULARY
 
 KINDS = [kind for kind in vars(rows).values() if isinstance(kind, type) and issubclass(kind, rows.Row)]
 KINDS.remove(rows.Row)
@@ -101,8 +102,21 @@ def test_a_response_is_its_row_with_times_as_text_and_an_age(kind):
     model = getattr(models, kind.__name__)
     assert model.model_validate(answer, strict=True).model_dump(exclude_unset=True) == answer
     for column in rows.columns_of(kind):
-        if column.description is not None:
-            assert model.model_fields[column.name].description == column.description
+        if column.description is not None and column.name != "due_utc_ns":
+            assert model.model_fields[column.published_name].description == column.description
+
+
+GENERAL = {"id", "name", "kind", "author", "note", "text", "n_sets", "from_h", "utc", "created_utc"}
+GENERAL |= {"due_utc", "evidence", "wall_utc"}
+"""Names with the same meaning in answers that are no rows: `vocabulary` describes them."""
+
+
+def test_a_column_is_described_on_its_row_and_nowhere_else():
+    texts = set(VOCABULARY.meanings.values())
+    for kind in ANSWERED:
+        for column in rows.columns_of(kind):
+            assert column.description is not None or column.published_name in GENERAL, (kind, column.name)
+            assert column.description not in texts, (kind, column.name)
 
 
 def test_an_event_payload_omits_an_id_that_is_not_assigned():

@@ -82,7 +82,7 @@ def test_each_result_has_its_limit_quality_and_age(filled):
     assert line_of(lines, " B") == (
         f" B  normal  D² {distance:.1f}, {waves}  {LIMIT_F}  {chart:.1f} of {LIMIT_CHART}  {rest}"
     )
-    assert line_of(lines, "decides").startswith("decides  the chart, or a cause named WALL;")
+    assert line_of(lines, "rule").startswith("rule  control chart or diagnosis WALL;")
     by_sets = filled.settings.model_copy(
         update={"alarms": filled.settings.alarms.model_copy(update={"decides_by": "k_of_n"})}
     )
@@ -90,7 +90,7 @@ def test_each_result_has_its_limit_quality_and_age(filled):
     assert facts_by_sets["positions"]["B"]["chart"] is None
     lines_by_sets = status_lines(facts_by_sets)
     assert line_of(lines_by_sets, " B") == f" B  normal  D² {distance:.1f}, {waves}  {LIMIT_F}  -  {rest}"
-    assert not any(line.startswith("decides") for line in lines_by_sets)
+    assert not any(line.startswith("rule") for line in lines_by_sets)
     wall_m = facts["positions"]["A"]["last_thickness"]["thickness_m"]
     reading = f"{1e3 * wall_m:.2f} mm ({1e3 * wall_m - 0.01:.2f} to {1e3 * wall_m + 0.02:.2f})"
     assert line_of(lines, " A").startswith(f" A  normal  {reading}  5.71 mm  -  good  0 s")
@@ -98,7 +98,7 @@ def test_each_result_has_its_limit_quality_and_age(filled):
 
 def test_a_diagnosis_other_than_ok_has_its_own_line(filled):
     facts = describe_status(filled.folder, filled.settings)
-    assert not any(line.startswith("verdict") for line in status_lines(facts))
+    assert not any(line.startswith("result") for line in status_lines(facts))
     experiment_text = {"sentence": "the wave has changed", "action": "inspect"}
     for name, cause, probability in (("B", "wall", 0.97), ("C", "undetermined", 0.98), ("D", "ok", 0.9)):
         facts["positions"][name]["last_assessment"] |= {
@@ -106,10 +106,10 @@ def test_a_diagnosis_other_than_ok_has_its_own_line(filled):
             "diagnosis_probability": probability,
             "diagnosis_details": experiment_text,
         }
-    lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("verdict")]
+    lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("result")]
     assert lines == [
-        f"verdict  B, set {SETS - 1}: WALL (97 %): the wave has changed; inspect",
-        f"verdict  C, set {SETS - 1}: UNDETERMINED: the wave has changed; inspect",
+        f"result  B, set {SETS - 1}: WALL (97 %): the wave has changed; inspect",
+        f"result  C, set {SETS - 1}: UNDETERMINED: the wave has changed; inspect",
     ]
 
 
@@ -142,7 +142,7 @@ def test_status_lists_alarms_with_state_and_age(filled):
     assert line_of(lines, " 2") == " 2  critical  C  acknowledged  0 s  no_reflection: a hole"
     assert line_of(lines, " B").startswith(" B  alarm")
     assert line_of(lines, " C").startswith(" C  disabled")
-    assert line_of(lines, "wall_change: look first: 1 the control position")
+    assert line_of(lines, "wall_change: checks: 1 the control position")
     filled.shelve(1, "a known leak", for_h=8.0)
     lines = status_of(filled)
     assert line_of(lines, "alarms") == "alarms  1, 1 shelved or out of service"
@@ -172,12 +172,12 @@ def test_status_lists_open_commands_and_the_due_set(filled):
     expired = filled.catalogue.add_command("bob", "pause", {"note": ""}, within_s=0.0)
     facts = describe_status(filled.folder, filled.settings)
     assert [row["id"] for row in facts["orders"]] == [order], f"order {expired} has expired"
-    awaited = [line for line in status_lines(facts) if line.startswith("awaited")]
+    awaited = [line for line in status_lines(facts) if line.startswith(("waiting", "next"))]
     assert re.fullmatch(
-        r"awaited +the recorder's answer to disable by ann \(pending, expires in 60 min\)", awaited[0]
+        r"waiting +for the recorder's answer to disable by ann \(pending, expires in 60 min\)", awaited[0]
     )
     # By the count of sets, of which four have rows here.
-    assert re.fullmatch(r"awaited +set 4, due at hour 2\.5, 22\.5 h ago", awaited[1])
+    assert re.fullmatch(r"next +set 4, due at hour 2\.5, 22\.5 h ago", awaited[1])
 
 
 @pytest.mark.parametrize(
@@ -207,7 +207,7 @@ def test_status_shows_the_result_of_the_last_confirmation_set(filled):
     ) == (1, "C", True)
     assert (experiment_text["last"]["set_index"], experiment_text["last"]["age_h"]) == (index, 0.0)
     assert line_of(status_lines(facts), "confirm") == (
-        "confirm  1 sets beside the plan; left for suspicion today: B 2, C 1, D 2. The last was at C. "
+        "confirm  1 confirmation sets; left today: B 2, C 1, D 2. The last was at C. "
         "Confirmed: the set at 2024-01-02T01:01:00Z (hour 25.02), squared distance 400, beyond the limit of "
         "24.3, lies where the planned sets before it do."
     )
@@ -233,9 +233,9 @@ def test_status_shows_the_quality_of_each_baseline(filled):
     assert facts["positions"]["B"]["baseline"] == baseline_of_b | short | {"doubts": []}
     lines = [re.sub(r"  +", "  ", line) for line in status_lines(facts) if line.startswith("baseline")]
     assert lines == [
-        "baseline  B, C: 0.2 false alarms a sensor and year, not promised: 48 sets cannot show slow memory",
-        "baseline  D: DOUBTFUL: set 6 lies alone, away from the others; a trend over the whole of it",
-        "baseline  D: 0.2 false alarms a sensor and year, promised",
+        "baseline  B, C: 0.2 false alarms per transducer-year, not verified: 48 sets cannot show slow memory",
+        "baseline  D: QUESTIONABLE: set 6 lies alone, away from the others; a trend over the whole of it",
+        "baseline  D: 0.2 false alarms per transducer-year, verified",
     ]
 
 
@@ -257,7 +257,7 @@ def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path):
     lines = status_of(filled)
     assert line_of(lines, " D").startswith(" D  not assessed  ToF ")
     assert "  none  -  good, n = 1  " in line_of(lines, " D")
-    assert line_of(lines, "baseline") == f"baseline  D: NOT JUDGED: {reason}"
+    assert line_of(lines, "baseline") == f"baseline  D: NOT ASSESSED: {reason}"
     page = report_page(tmp_path).decode()
     assert re.search(rf">not assessed</td>\s*<td[^>]*>not judged: {reason}</td>", page)
     filled.close()
@@ -267,8 +267,8 @@ def test_status_shows_a_missing_file_and_a_tripped_supply(filled):
     facts = describe_status(filled.folder, filled.settings)
     supply = {"quality": "good", "tripped": "a hole", "description": "off; tripped: a hole"}
     lines = status_lines({**facts, "lost": {"sets/set_000001.h5": "is empty"}, "supply": supply})
-    assert line_of(lines, "LOST").startswith(
-        "LOST  sets/set_000001.h5 is empty; solimon repair --from BACKUP"
+    assert line_of(lines, "MISSING").startswith(
+        "MISSING  sets/set_000001.h5 is empty; solimon repair --from BACKUP"
     )
     assert line_of(lines, "supply") == "supply  off; tripped: a hole"
 

@@ -75,7 +75,7 @@ class Bench:
             alarms=self.ledger.alarms,
             annotations=lambda: self.catalogue.rows(AnnotationRow),
             store=self.ledger.commit,
-            reinstated=self.ledger.assessors.reinstate,
+            enabled=self.ledger.assessors.enable,
             confirmation=self.confirmation,
             settings=Settings(),
             next_set=lambda: self.next_set,
