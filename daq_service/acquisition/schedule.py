@@ -14,7 +14,7 @@ from typing import Protocol
 
 import numpy as np
 
-from hardware_drivers.measurement import PLANNED_SETS
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
 
@@ -46,6 +46,12 @@ class DueSet:
     due_h: float
     due_utc_ns: int
     position: str | None = None
+    unscheduled_index: int = 0
+
+    @property
+    def set_key(self) -> SetKey:
+        """Return the key of the set."""
+        return SetKey(self.set_index, self.unscheduled_index)
 
 
 def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
@@ -56,7 +62,8 @@ def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> D
     due_h = after.due_h + (utc_ns - after.due_utc_ns) / NS_PER_H
     epoch_ns = after.due_utc_ns - round(after.due_h * NS_PER_H)
     return DueSet(
-        set_index=number * PLANNED_SETS + after.set_index,
+        set_index=after.set_index,
+        unscheduled_index=number,
         due_h=due_h,
         due_utc_ns=epoch_ns + round(due_h * NS_PER_H),
         position=position,

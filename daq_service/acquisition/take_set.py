@@ -15,7 +15,7 @@ from typing import Literal
 from daq_service.acquisition.schedule import DueSet
 from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError, InstrumentError
 from hardware_drivers.instruments import Rig
-from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp, in_order
+from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -91,17 +91,15 @@ def strikes_after(
             return
         number = order.index((key.position, key.shot_index))
         start_ns = utc_ns - slots_ns[number]
-        scheduled_set, extra = in_order(key.set_index)
-        last = (number // shots_per_set + 1) * shots_per_set if extra else len(order)
-        following = itertools.islice(sets, scheduled_set + 1, None)
+        last = (number // shots_per_set + 1) * shots_per_set if key.unscheduled_index else len(order)
+        following = itertools.islice(sets, key.set_index + 1, None)
         starts = itertools.chain(
-            [(key.set_index, start_ns)], ((due.set_index, due.due_utc_ns) for due in following)
+            [(key.set_key, start_ns)], ((due.set_key, due.due_utc_ns) for due in following)
         )
         first_slot = number + 1
-        for set_index, start_ns in starts:
+        for set_key, start_ns in starts:
             for slot, (position, shot_index) in enumerate(order[first_slot:last], first_slot):
-                shot = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
-                yield shot, start_ns + slots_ns[slot]
+                yield ShotKey.in_set(set_key, position, shot_index), start_ns + slots_ns[slot]
             first_slot, last = 0, len(order)
 
     return following_strikes
@@ -167,7 +165,7 @@ def take_set(
             continue
         if not rig.clock.wait_until(start_ns, idle):
             return
-        key = ShotKey(position=position, set_index=plan.due.set_index, shot_index=0)
+        key = ShotKey.in_set(plan.due.set_key, position, 0)
         yield _echo(rig, plan, key, sequence, boot_id)
     strikes = itertools.product(plan.of_method(SOLITARY_WAVE), range(plan.shots_per_set))
     slot = itertools.count(progress.n_strikes)
@@ -181,9 +179,7 @@ def take_set(
                 return
             if not may_strike(position):  # commands are executed while waiting
                 break
-            key = ShotKey(
-                position=position, set_index=plan.due.set_index, shot_index=shot_index, attempt=attempt
-            )
+            key = ShotKey.in_set(plan.due.set_key, position, shot_index, attempt)
             measurement, error, last_attempt = _strike(rig, plan, key, sequence, boot_id)
             yield measurement
             n_lost = 0 if error is None else n_lost + 1

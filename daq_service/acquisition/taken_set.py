@@ -16,7 +16,7 @@ from daq_service.acquisition.take_set import Measurement, MissedShot, MissReason
 from daq_service.archive import MissedRecord, OpenSet, SetRecord
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Acquired
-from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform, purpose_of
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 
 log = logging.getLogger(__name__)
 
@@ -215,12 +215,12 @@ def superseded(shots: list[Shot], features: dict[int, ShotFeatures]) -> dict[int
 
 def due_of(record: SetRecord) -> DueSet:
     """Return the due time of a stored set, and the position of an unscheduled one."""
-    is_unscheduled = purpose_of(record.set_index) != "planned"
     return DueSet(
         set_index=record.set_index,
+        unscheduled_index=record.unscheduled_index,
         due_h=record.due_h,
         due_utc_ns=record.due_utc_ns,
-        position=record.positions[0].position if is_unscheduled else None,
+        position=record.positions[0].position if record.unscheduled_index else None,
     )
 
 

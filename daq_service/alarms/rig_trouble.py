@@ -50,8 +50,8 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
         kind="instruments_unavailable",
         priority="high",
         present=bool(trouble or unanswered),
-        message=f"set {due.set_index} {event}: {message}; {outlook}",
-        evidence={"set_index": due.set_index, "error": error},
+        message=f"set {due.set_key} {event}: {message}; {outlook}",
+        evidence={**due.set_key._asdict(), "error": error},
     )
 
 

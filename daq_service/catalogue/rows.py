@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType, NoneType
 from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from hardware_drivers.measurement import Purpose
+from hardware_drivers.measurement import Purpose, SetKey
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 
 Quality = Literal["good", "suspect", "bad"]
@@ -35,6 +35,26 @@ class Row:
     __slots__: tuple[str, ...] = ()  # of a dataclass with slots: the names of its columns, in order
 
 
+class RowOfSet(Row):
+    """Base of the rows of a set.
+
+    Attributes
+    ----------
+    position, set_index, unscheduled_index
+        Position, index of the scheduled set, and number of the unscheduled set after it (0: none).
+    """
+
+    __slots__ = ()
+    position: str
+    set_index: int
+    unscheduled_index: int
+
+    @property
+    def set_key(self) -> SetKey:
+        """Return the key of the set."""
+        return SetKey(self.set_index, self.unscheduled_index)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExperimentRow(Row):
     """Which experiment a folder belongs to; there is one row."""
@@ -52,11 +72,12 @@ class ExperimentRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SetRow(Row):
+class SetRow(RowOfSet):
     """One set of one position; partial: some records are stored, missed: none."""
 
     id: int | None = None
     set_index: int
+    unscheduled_index: int = 0
     position: str
     method: Method
     due_utc_ns: int
@@ -78,11 +99,12 @@ class SetRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShotRow(Row):
+class ShotRow(RowOfSet):
     """One stored shot; a pulse-echo record is a shot too."""
 
     sequence: int
     set_index: int
+    unscheduled_index: int = 0
     position: str
     shot_index: int
     attempt: int
@@ -96,11 +118,12 @@ class ShotRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FeatureRow(Row):
+class FeatureRow(RowOfSet):
     """Solitary-wave features of a shot, or of a set: the mean of its valid shots."""
 
     id: int | None = None
     set_index: int
+    unscheduled_index: int = 0
     position: str
     shot_index: int | None  # None: the set's feature
     sequence: int | None
@@ -127,11 +150,12 @@ class FeatureRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ThicknessRow(Row):
+class ThicknessRow(RowOfSet):
     """Pulse-echo result of a set."""
 
     id: int | None = None
     set_index: int
+    unscheduled_index: int = 0
     position: str
     sequence: int | None
     due_h: float
@@ -210,11 +234,12 @@ class BaselineRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AssessmentRow(Row):
+class AssessmentRow(RowOfSet):
     """Assessment of a set by novelty detection."""
 
     id: int | None = None
     set_index: int
+    unscheduled_index: int = 0
     position: str
     due_h: float
     baseline_id: int | None = None
@@ -269,6 +294,7 @@ class AlarmRow(Row):
     raised_utc_ns: int
     raised_h: float
     raised_set_index: int | None = None
+    raised_unscheduled_index: int = 0
     changed_utc_ns: int
     cleared_utc_ns: int | None = None
     acknowledged_utc_ns: int | None = None
@@ -283,6 +309,12 @@ class AlarmRow(Row):
     suppressed_reason: str | None = None
     shelved_until_utc_ns: int | None = None  # on the experiment's clock
     shelved_until_wall_utc_ns: int | None = None  # in real time; whichever comes first ends it
+
+    @property
+    def raised_set_key(self) -> SetKey | None:
+        """Return the key of the set with which it was raised; None without one."""
+        index = self.raised_set_index
+        return None if index is None else SetKey(index, self.raised_unscheduled_index)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -311,7 +343,13 @@ class EventRow(Row):
     kind: str  # "set_done", "alarm_raised", "recorder_started", "gap", ...
     position: str | None = None
     set_index: int | None = None
+    unscheduled_index: int = 0
     payload: dict[str, Any]
+
+    @property
+    def set_key(self) -> SetKey | None:
+        """Return the key of its set; None without one."""
+        return None if self.set_index is None else SetKey(self.set_index, self.unscheduled_index)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

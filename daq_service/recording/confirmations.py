@@ -29,6 +29,7 @@ from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
 Alarms = Mapping[tuple[str | None, str], AlarmRow]
@@ -40,9 +41,9 @@ class Confirmations:
     Attributes
     ----------
     asked
-        Every one that was asked for, by its set index.
+        Every one that was asked for, by its key.
     waiting
-        Those of them without rows, by set index in the order in which they were asked for.
+        Those of them without rows, by key in the order in which they were asked for.
     set_ns
         How long one takes at most.
     """
@@ -53,13 +54,13 @@ class Confirmations:
         self.set_ns = longest_set_ns(
             settings.schedule, settings.quality.restrikes_per_set, settings.rig.read_timeout_s
         )
-        self.asked: dict[int, Confirmation] = {}
-        self.waiting: dict[int, Confirmation] = {}
+        self.asked: dict[SetKey, Confirmation] = {}
+        self.waiting: dict[SetKey, Confirmation] = {}
         self._last_results: dict[str, ConfirmationResult] = {}
         for one in read_confirmations(catalogue):
-            self.asked[one.due.set_index] = self.waiting[one.due.set_index] = one
-        for index in catalogue.committed_sets(self.waiting) if self.waiting else ():
-            del self.waiting[index]
+            self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
+        for set_key in catalogue.committed_sets(self.waiting) if self.waiting else ():
+            del self.waiting[set_key]
         for position in {one.due.position for one in self.asked.values()} - {None}:
             last = newest_confirmation(catalogue, str(position))
             if last is not None:
@@ -69,14 +70,14 @@ class Confirmations:
         """Add a request, once its event is stored; other events are ignored."""
         if event.kind == CONFIRMATION_ASKED and event.position is not None:
             one = confirmation_from_payload(event.position, event.payload)
-            self.asked[one.due.set_index] = self.waiting[one.due.set_index] = one
+            self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
 
     def take_rows(self, stored: Transaction) -> None:
         """Take in what came of it, once that is stored."""
         for row in stored.sets:
             if row.purpose == "confirmation":
-                self.waiting.pop(row.set_index, None)
-                assessment = next((one for one in stored.assessments if one.set_index == row.set_index), None)
+                self.waiting.pop(row.set_key, None)
+                assessment = next((one for one in stored.assessments if one.set_key == row.set_key), None)
                 self._last_results[row.position] = summarize_confirmation(row, assessment)
 
     def room_ns(self, planned: DueSet, utc_ns: int) -> float:
@@ -146,7 +147,7 @@ class Confirmations:
     def evidence(self, condition: Condition, planned_set: int) -> dict[str, Any]:
         """Give what a confirmation set among the last sets adds to the evidence of a change."""
         last = self._last_results.get(condition.position or "")
-        known = last is not None and planned_set - last.after_set < self._rules.n
+        known = last is not None and planned_set - last.set_index < self._rules.n
         if last is None or not known or condition.kind not in ALARMS_OF_CHANGE:
             return {}
         return {"confirmation": asdict(last)}

@@ -19,6 +19,7 @@ from daq_service.background.write_retry_queue import PASSING, Trouble, WriteRetr
 from daq_service.processes.disk_policy import DiskSpace
 from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
+from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
 
@@ -130,10 +131,10 @@ class Persistence:
 
         self._retry_queue.put(job, n_bytes=n_bytes)
 
-    def after_set(self, set_index: int) -> None:
+    def after_set(self, set_key: SetKey) -> None:
         """Let the background tasks know of a set whose rows are stored, so that it gets its file."""
         for task in self._tasks:
-            task.after_set(set_index)
+            task.after_set(set_key)
 
     def do(self, job: Callable[[], None]) -> None:
         """Do something that the disk may refuse, when all before it is done."""

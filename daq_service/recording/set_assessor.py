@@ -133,7 +133,7 @@ class SetAssessor:
             Where the record lies, and the SHA-256 of the file if it is made.
         """
         self.adopt()
-        moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
+        moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, **due.set_key._asdict())
         causes = {position.position: position.cause for position in record.positions}
         retired = self.retired()
         transaction = Transaction()
@@ -261,14 +261,14 @@ class SetAssessor:
 
         Called again after an error, it first looks whether the commit took place all the same.
         """
-        indices = {row.set_index for row in transaction.sets}
-        if transaction is self._uncommitted and indices <= self._catalogue.committed_sets(indices):
+        keys = {row.set_key for row in transaction.sets}
+        if transaction is self._uncommitted and keys <= self._catalogue.committed_sets(keys):
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             return
         # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
-        if indices or (self.assessors.reinstated and self._uncommitted is None):
+        if keys or (self.assessors.reinstated and self._uncommitted is None):
             transaction.states |= self.assessors.changed_states()
-        self._uncommitted = transaction if indices else self._uncommitted
+        self._uncommitted = transaction if keys else self._uncommitted
         with self._cost.of("commit_s"):
             committed = self._catalogue.commit_set(transaction)
         self._uncommitted = None if transaction is self._uncommitted else self._uncommitted
@@ -294,7 +294,7 @@ class SetAssessor:
         tried
             The attempts, which show the state of the instruments; None: there were none.
         """
-        moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
+        moment = Moment(utc_ns=utc_ns, due_h=due.due_h, **due.set_key._asdict())
         transaction = Transaction()
         retired = self.retired() if tried is None else tried.retired
         for position in self.positions_of(due):
@@ -326,7 +326,7 @@ class SetAssessor:
             unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
             payload = rig_condition(due, tried.instrument_error(), unanswered, proven=self.proven)
             self._carry_alarm(payload, moment, transaction)
-        log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
+        log.warning("set %s missed: %s", due.set_key, next(iter(causes.values())))
         if due.position is not None:
             _add_confirmation(self.alarms, due.position, transaction, moment)
             return transaction
@@ -342,6 +342,7 @@ def without_records(settings: Settings, due: DueSet, position: str, *, retired: 
     """Make the row of a position that gave not one record, or was not asked for any."""
     return SetRow(
         set_index=due.set_index,
+        unscheduled_index=due.unscheduled_index,
         position=position,
         method=settings.positions[position].method,
         due_utc_ns=due.due_utc_ns,

@@ -78,13 +78,12 @@ class Source:
         qualities: dict[int, str] = {}
         for item in changes:
             settings = self._settings.positions.get(item.position or "")
-            if settings is None or item.set_index is None:
+            if settings is None or item.set_key is None:
                 continue
             kind = MEASURED_BY[settings.method]
             filters: Any = {"scope": "set"} if kind is FeatureRow else {}
-            rows = self._catalogue().rows(
-                kind, position=item.position, set_index=item.set_index, limit=1, **filters
-            )
+            filters |= item.set_key._asdict()
+            rows = self._catalogue().rows(kind, position=item.position, limit=1, **filters)
             if rows:
                 qualities[item.event_id] = rows[0].quality
         return qualities

@@ -151,7 +151,8 @@ class AlarmRule(Answer):
 class ConfirmationSet(Answer):
     """Result of an unscheduled confirmation set."""
 
-    set_index: int = Field(description="Index of the confirmation set")
+    set_index: int = Field(description="Scheduled set that it follows")
+    unscheduled_index: int
     utc_ns: int = Field(description="When it was asked for, in ns of UTC on the test's clock")
     due_h: float = Field(description="The same in hours of the test")
     confirms: bool | None = Field(description="It lies where the planned sets before it do; null: unknown")
@@ -168,6 +169,7 @@ class AlarmEvidence(BaseModel):
     formula: str | None = Field(default=None, description="Formula of the value that decides")
     rule: AlarmRule | None = Field(default=None, description="How much it takes")
     set_index: int | None = Field(default=None, description="Set that decided")
+    unscheduled_index: int | None = None
     distance_squared: float | None = Field(default=None, description="Squared distance of that set")
     limit_name: str | None = Field(default=None, description="The limit that decides")
     raised_by: str | None = Field(
@@ -493,6 +495,7 @@ class AskedInfo(Answer):
     text: str
     position: str | None = None
     set_index: int | None = None
+    unscheduled_index: int | None = None
     shot_index: int | None = None
     attempt: int | None = None
     within_s: float
@@ -659,6 +662,7 @@ class WaveformAnswer(Answer):
     position: str
     method: Method
     set_index: int
+    unscheduled_index: int
     shot_index: int
     sequence: int
     utc: str

@@ -11,7 +11,8 @@ from collections.abc import Mapping
 MEANINGS: Mapping[str, str] = {
     # Where and when.
     "position": "Monitored place, as the configuration names it",
-    "set_index": "Running number of the planned set, from 0; beside the plan n times 10,000,000 more",
+    "set_index": "Index of the scheduled set, from 0",
+    "unscheduled_index": "0: the scheduled set itself; n: the n-th unscheduled set after it",
     "shot_index": "Running number of the shot in its set, from 0; null: the set as a whole",
     "sequence": "Number of the record in the order in which records were taken",
     "attempt": "Which strike for this shot, from 0: the quality gate repeats some",
@@ -101,6 +102,7 @@ MEANINGS: Mapping[str, str] = {
     "raised_utc": "When it was raised, RFC 3339 UTC on the test's clock",
     "raised_h": "When it was raised, in hours of the test",
     "raised_set_index": "Set with which it was raised; null: no set's",
+    "raised_unscheduled_index": "0: with the scheduled set itself; n: with the n-th unscheduled set after it",
     "changed_utc": "When it last changed, RFC 3339 UTC on the test's clock",
     "cleared_utc": "When its cause went, RFC 3339 UTC; null: it has not",
     "acknowledged_utc": "When somebody acknowledged it, RFC 3339 UTC; null: nobody has",

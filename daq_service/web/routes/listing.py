@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from inspect import Parameter, Signature
 from typing import Annotated, Any, cast
 
-from fastapi import APIRouter, Query
+from fastapi import APIRouter, Path, Query
 
 from daq_service.catalogue.published_columns import Purposes
 from daq_service.catalogue.reader import Filters
@@ -17,6 +17,7 @@ from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import Page, problems
 from daq_service.web.answers.problem import invalid
 from daq_service.web.context import Context, ContextOf, Freshness
+from hardware_drivers.measurement import SetKey
 
 LARGEST_PAGE = 1000
 LARGEST_HOUR = 1e7
@@ -35,7 +36,11 @@ ToHour = Annotated[
 PositionFilter = Annotated[str | None, Query(max_length=16, description="Only this position")]
 HOURS = {"from_h": (FromHour, None), "to_h": (ToHour, None)}
 POSITION = {"position": (PositionFilter, None)}
-SET_INDEX = {"set_index": (Annotated[int | None, Query(ge=0, le=LARGEST_INDEX)], None)}
+SET_PATTERN = r"^[0-9]{1,8}(\.[0-9]{1,3})?$"
+SET_TEXT = "Index of a set, such as 12; 12.1 is the first unscheduled set after it"
+"""Form of the key of a set in paths and queries (`SetKey.parse`)."""
+SetOfPath = Annotated[str, Path(pattern=SET_PATTERN, description=SET_TEXT)]
+SET_INDEX = {"set_index": (Annotated[str | None, Query(pattern=SET_PATTERN, description=SET_TEXT)], None)}
 
 PurposeFilter = Annotated[
     Purposes,
@@ -127,6 +132,8 @@ def _filters(query: Mapping[str, Any]) -> Filters:
     """Return query parameters as filters of the catalogue."""
     from_h, to_h = query.get("from_h"), query.get("to_h")
     chosen: dict[str, Any] = {name: query[name] for name in query if name not in HOURS}
+    if chosen.get("set_index") is not None:  # the key alone decides whether the set is a scheduled one
+        chosen |= {**SetKey.parse(chosen["set_index"])._asdict(), "purpose": None}
     return cast(Filters, chosen | {"first_h": from_h, "last_h": last_hour(from_h, to_h)})
 
 

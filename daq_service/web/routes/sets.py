@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from fastapi import APIRouter, Path
+from fastapi import APIRouter
 
 from daq_service.catalogue.rows import SetRow, SetState, ShotRow
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import SetPage, ShotPage, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.context import ContextOf
-from daq_service.web.routes.listing import HOURS, LARGEST_INDEX, POSITION, PURPOSE, SET_INDEX, add_listing
+from daq_service.web.routes.listing import HOURS, POSITION, PURPOSE, SET_INDEX, SetOfPath, add_listing
+from hardware_drivers.measurement import SetKey
 
 router = APIRouter(tags=["sets"])
 add_listing(
@@ -30,13 +29,11 @@ add_listing(
     response_model=ShotPage,
     responses=problems(404, 422, 503),
 )
-def list_shots(
-    context: ContextOf, position: str, set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)]
-) -> JsonAnswer:
+def list_shots(context: ContextOf, position: str, set_index: SetOfPath) -> JsonAnswer:
     """List the stored shots of one set, in one page."""
     context.checked_position(position)
     fresh = context.freshness()
-    rows = context.catalogue().rows(ShotRow, position=position, set_index=set_index)
+    rows = context.catalogue().rows(ShotRow, position=position, **SetKey.parse(set_index)._asdict())
     if not rows:
         raise not_found(
             f"No shot of position {position}, set {set_index} is stored.", "/api/v1/sets lists the sets."

@@ -5,10 +5,11 @@ from support.archived_sets import make_set, make_shot
 from support.memory_archive import bits
 
 from daq_service.archive.journal.frames import begin_frame, end_frame, frames, record_frame, record_of
+from hardware_drivers.measurement import SetKey
 
 RECORDS = make_set().records
 WRITTEN = [
-    begin_frame(7, due_utc_ns=5, started_utc_ns=6, retired={"C": "worn"}),
+    begin_frame(SetKey(7), due_utc_ns=5, started_utc_ns=6, retired={"C": "worn"}),
     *map(record_frame, RECORDS),
     end_frame(make_set()),
 ]

@@ -24,7 +24,7 @@ from daq_service.background.verification import QUIET_S
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.recording.reassessment.rebuild import rebuild
-from hardware_drivers.measurement import PLANNED_SETS
+from hardware_drivers.measurement import SetKey
 
 N_SETS = 6
 RESULTS = {"features": {"shot_id": [41], "isw_time_s": [2.5e-6]}}
@@ -58,7 +58,7 @@ class Line:
         """Write the files of all sets; without free space they get no tiles."""
         self.room = room
         for index in self.files:
-            self.compaction.after_set(index)
+            self.compaction.after_set(SetKey(index))
             self.compaction.run_for(0.0)
         self.room = True
         assert len(list((self.folder / "sets").iterdir())) == N_SETS
@@ -107,7 +107,7 @@ def test_in_idle_time_older_sets_get_tiles_newest_first(line):
 
 
 def test_no_tile_is_made_while_set_files_are_pending(line):
-    line.compaction.after_set(SET_INDEX)
+    line.compaction.after_set(SetKey(SET_INDEX))
     assert line.compaction.waits
     line.read.clear()
     line.work(free_s=QUIET_S + 1)
@@ -147,7 +147,7 @@ def test_a_full_volume_gets_no_tiles(line):
 
 
 def test_an_unscheduled_set_gets_no_tiles(line):
-    record = other_set(make_set(), PLANNED_SETS + SET_INDEX)
+    record = other_set(make_set(), SET_INDEX, 1)
     assert add_record_to_tiles(line.folder, "ab/1", {}, record) == ""
     assert not (line.folder / TILES_FOLDER).exists()
 
@@ -175,7 +175,7 @@ def test_rebuild_makes_the_tiles_of_an_older_folder(copy_of_older_version):
         name = experiment_identity(catalogue.experiment_row())
         for path in set_files(copy_of_older_version.folder).values():
             record = read_set(path)
-            anchors = anchors_of(results_in(catalogue, record.set_index))
+            anchors = anchors_of(results_in(catalogue, record.set_key))
             for place in {taken.key.position for taken in record.records}:
                 tiles = tiles_of(copy_of_older_version.folder, name, record, place, "first")
                 expected = planes_of_set(record, place, "first", anchors, tiles.frame)

@@ -236,7 +236,12 @@ EVIDENCE = {
     "rate_verified": False,
     "rate_not_verified_reason": "48 sets",
     "consecutive_poor_sets": 2,
-    "confirmation": {"set_index": 10_000_003, "confirms": None, "reason": "a feature is missing"},
+    "confirmation": {
+        "set_index": 3,
+        "unscheduled_index": 1,
+        "confirms": None,
+        "reason": "a feature is missing",
+    },
 }
 ALARM_0013 = {
     "id": 1,
