@@ -21,6 +21,7 @@ import h5py
 import numpy as np
 
 from daq_service.catalogue.earlier_names import COLUMNS, TOPICS, current_row
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT
 
 RENAMED_TABLES = TOPICS
 RENAMED_COLUMNS = COLUMNS
@@ -67,9 +68,9 @@ def rows(folder: Path) -> dict[str, list[dict[str, Any]]]:
         }
     tables["events"] = [event for event in tables["events"] if event["topic"] != "machine"]
     for event in tables["events"]:
-        event["payload"] = {
-            key: value for key, value in event["payload"].items() if key not in OF_THE_RUN | ADDED
-        }
+        # An earlier version stored the row again that an event reports; here the row itself is compared.
+        payload = {} if event["kind"] in ROW_OF_EVENT else event["payload"]
+        event["payload"] = {key: value for key, value in payload.items() if key not in OF_THE_RUN | ADDED}
     return tables
 
 

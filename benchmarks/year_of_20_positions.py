@@ -38,12 +38,12 @@ from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.archive.finalize_set import compact_set
 from daq_service.archive.records import set_reference
-from daq_service.assessment.diagnosis import diagnosis_details
-from daq_service.assessment.transaction import payload_of
+from daq_service.assessment.diagnosis_texts import diagnosis_details
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.history import HistoryFollower
+from daq_service.catalogue.reported_rows import reported
 from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
@@ -278,7 +278,7 @@ def _add_event(commit: SetCommit, due: DueSet, topic: str, kind: str, row: Any) 
             kind=kind,
             position=getattr(row, "position", None),
             set_index=due.set_index,
-            payload=payload_of(row),
+            payload=reported(row),
         )
     )
 

@@ -70,3 +70,7 @@ class EndedByLibraryError(SolimonError):
 
     def __init__(self, ending: BaseException) -> None:
         super().__init__(f"a driver or library ended the work by {ending!r}; report it to its author")
+
+
+PASSING = (StorageUnavailableError, OSError)
+"""Trouble of a disk that may be over later: full, gone, failing, locked, no free handle."""

@@ -1,4 +1,4 @@
-"""Rules of confirmation sets: when one is requested, and what its result means. Pure.
+"""Confirmation sets: their requests, budget and results. Pure, but for reading the catalogue.
 
 A transducer requests an unscheduled set when a set first exceeds a limit. It is struck at once, assessed and
 shown. It separates a lasting change from one of a single set. The diagnosis state
@@ -7,22 +7,11 @@ shown. It separates a lasting change from one of a single set. The diagnosis sta
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
-from analysis.statistics.baseline import Baseline
-from analysis.statistics.distance import distance_squared
 from daq_service.acquisition.schedule import DueSet
-from daq_service.assessment.solitary_wave_step import (
-    AssessedSet,
-    Rules,
-    SetAssessment,
-    State,
-    wall_alarm_active,
-)
 from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AssessmentRow, EventRow, SetRow
@@ -30,8 +19,6 @@ from daq_service.settings.tree import ScheduleSettings
 from hardware_drivers.measurement import MOST_UNSCHEDULED
 from hardware_drivers.nanoseconds import NS_PER_S
 
-ALARM = "the change of the wall became an alarm with it"
-STEP = "it is the first set beyond the limit"
 BUDGET_H = 24.0
 """Hours of the test over which confirmation sets are counted."""
 CONFIRMATION_ASKED = "confirmation_asked"
@@ -75,19 +62,6 @@ def confirmation_from_payload(position: str, payload: Mapping[str, Any]) -> Conf
         position=position,
     )
     return Confirmation(due=due, reason=payload["reason"], author=payload["author"])
-
-
-def request_reason(before: State, after: State, assessment: SetAssessment, rules: Rules) -> str:
-    """Return why a scheduled set requests a confirmation set; empty if it requests none.
-
-    A set requests one when it is an outlier after `alarms.n` sets without one, and when the wall alarm
-    becomes active. Each requests again only after its condition has returned to normal (hysteresis).
-    """
-    if assessment.in_baseline or assessment.outlier is None:
-        return ""
-    if wall_alarm_active(after, rules) and not wall_alarm_active(before, rules):
-        return ALARM
-    return STEP if assessment.outlier and not any(before.alarm.recent) else ""
 
 
 def rejection_reason(
@@ -146,33 +120,6 @@ def next_unscheduled_number(requests: Iterable[Confirmation], planned_set: int) 
     )
     number = 1 + max(numbers, default=0)
     return number if number <= MOST_UNSCHEDULED else None
-
-
-def confirms_change(
-    assessed: Sequence[AssessedSet], baseline: Baseline, vector: Sequence[float]
-) -> bool | None:
-    """Return whether a set is nearer to the suspect scheduled sets than to the baseline.
-
-    Both are normal populations with the baseline's covariance; the likelier one has the nearer mean by the
-    Mahalanobis distance.
-
-    Parameters
-    ----------
-    assessed
-        The last scheduled sets, at most n. Suspect are those above the limit; if none is, all of them,
-        because the chart has detected a change that no single set shows.
-    vector
-        The confirmation set's five features.
-    """
-    suspects = [assessed_set.vector for assessed_set in assessed if assessed_set.outlier] or [
-        assessed_set.vector for assessed_set in assessed
-    ]
-    if not suspects:
-        return None
-    shift = np.mean(np.array(suspects), axis=0) - baseline.mean
-    features = np.array(vector)
-    from_baseline, from_suspects = distance_squared(np.stack([features, features - shift]), baseline)
-    return bool(from_suspects < from_baseline)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -3,14 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
 
+from analysis.assessment.exact_json import to_json
 from daq_service.archive import SetReader
 from daq_service.assessment.assessor import Assessor, StoredResult
 from daq_service.assessment.methods import METHODS
-from daq_service.assessment.stored_state import state_rows
+from daq_service.assessment.restore_state import STATE_FORMAT
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AssessmentRow, AssessorStateRow
 from daq_service.settings.tree import Settings
+
+FROZEN_FIELDS = frozenset({"healthy", "n_left_out", "baseline", "reference"})
+"""Fields of a state that rarely change. They are large and have a row of their own."""
 
 
 class PositionAssessors:
@@ -82,3 +88,26 @@ class PositionAssessors:
             )
         self.reinstated = False
         return {row.place: row for row in rows}
+
+
+def state_rows(
+    before: Any, after: Any, *, position: str, baseline_id: int | None, configuration_hash: str
+) -> list[AssessorStateRow]:
+    """Return the rows of a state that differ from those of the state before; None: all of them."""
+    parts = {"frozen": FROZEN_FIELDS, "running": {item.name for item in fields(after)} - FROZEN_FIELDS}
+    rows = []
+    for part, names in parts.items():
+        values = {item.name: getattr(after, item.name) for item in fields(after) if item.name in names}
+        if before is not None and all(getattr(before, name) is value for name, value in values.items()):
+            continue
+        rows.append(
+            AssessorStateRow(
+                place=f"{position}/{part}",
+                position=position,
+                baseline_id=baseline_id,
+                configuration_hash=configuration_hash,
+                format=STATE_FORMAT,
+                state=to_json(values),
+            )
+        )
+    return rows

@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 A = TypeVar("A", bound=Assessor)
 
 NEVER = SetKey(2**63 - 1)
+STATE_FORMAT = 1
+"""Version of the stored states; a state of another version is computed from the stored sets."""
 
 
 def restored_solitary_wave(
@@ -74,14 +76,14 @@ def restored_pulse_echo(
 
 def _restored(assessor: A, settings: Settings, catalogue: Catalogue, archive: SetReader) -> A:
     """Set the state of a new assessor: the stored one, none after a renewal, or that of all stored sets."""
-    from daq_service.assessment.stored_state import STATE_FORMAT, state_of
+    from analysis.assessment.exact_json import from_json
 
     rows = catalogue.rows(AssessorStateRow, position=assessor.position)
     made_by = (STATE_FORMAT, settings.configuration_hash())
     if not rows or any((row.format, row.configuration_hash) != made_by for row in rows):
         follow_stored_sets(assessor, catalogue, archive)
     elif {row.baseline_id for row in rows} == {assessor.baseline_id}:
-        assessor.state = state_of(type(assessor.state), rows)
+        assessor.state = from_json(type(assessor.state), *(row.state for row in rows))
     return assessor
 
 

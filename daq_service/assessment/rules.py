@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+from analysis.assessment.step import Rules
 from analysis.statistics.design import Budget
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.acquisition.schedule import due_hours
 from daq_service.assessment.baseline_lifecycle import BaselineRange, baseline_name
-from daq_service.assessment.solitary_wave_step import Rules
 from daq_service.settings.tree import Settings
 
 HOURS_PER_DAY = 24.0

@@ -11,13 +11,13 @@ from typing import Any
 
 import numpy as np
 
+from analysis.assessment.step import Rules, State, wall_alarm_active
 from analysis.diagnosis.hypotheses import WALL
 from analysis.statistics.design import Design, contributions_of
 from analysis.statistics.named_limits import CHART
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.alarms.states import Condition
-from daq_service.assessment.diagnosis import diagnosis_text
-from daq_service.assessment.solitary_wave_step import Rules, State, wall_alarm_active
+from daq_service.assessment.diagnosis_texts import diagnosis_text
 from daq_service.assessment.stored_limits import limits_by_name, statistic_of
 from daq_service.catalogue.rows import AssessmentRow
 

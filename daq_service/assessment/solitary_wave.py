@@ -1,6 +1,6 @@
 """Assessments of a solitary-wave transducer as rows and as conditions of alarms, with their messages.
 
-Rules and state are in `solitary_wave_step`. Nothing here reads a clock or a file.
+Rules and state are in `analysis.assessment.step`. Nothing here reads a clock or a file.
 """
 
 from __future__ import annotations
@@ -10,6 +10,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import compress
 
+from analysis.assessment.baseline_quality import assess_baseline
+from analysis.assessment.confirmation import confirms_change, request_reason
+from analysis.assessment.diagnosis import diagnose_confirmation
+from analysis.assessment.step import (
+    SetAssessment,
+    SetOfShots,
+    State,
+    assess_alone,
+    reinstated,
+    step,
+)
 from analysis.diagnosis.diagnose import Diagnosis
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
 from analysis.statistics.named_limits import CHART, DISTANCE
@@ -30,22 +41,9 @@ from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.assessment.assessor import PositionResult, StoredResult
 from daq_service.assessment.baseline_lifecycle import AUTOMATIC, BaselineRange
-from daq_service.assessment.baseline_quality import assess_baseline
-from daq_service.assessment.confirmation import confirms_change, request_reason
-from daq_service.assessment.diagnosis import (
-    diagnose_confirmation,
-    diagnosis_details,
-)
+from daq_service.assessment.diagnosis_texts import diagnosis_details
 from daq_service.assessment.rules import rules_of
 from daq_service.assessment.signal_change import wall_conditions
-from daq_service.assessment.solitary_wave_step import (
-    SetAssessment,
-    SetOfShots,
-    State,
-    assess_alone,
-    reinstated,
-    step,
-)
 from daq_service.catalogue.rows import AssessmentRow, BaselineRow, FeatureRow
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot

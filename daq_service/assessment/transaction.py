@@ -13,6 +13,7 @@ from daq_service.alarms.states import Change, Moment
 from daq_service.archive import waveform_crc32
 from daq_service.assessment.assessor import PositionResult
 from daq_service.catalogue import SetCommit
+from daq_service.catalogue.reported_rows import reported
 from daq_service.catalogue.rows import (
     AnnotationRow,
     BaselineRow,
@@ -71,13 +72,12 @@ class Transaction(SetCommit):
         add_event = partial(
             self._add_event, moment=moment, position=its_set.position, set_key=its_set.set_key
         )
-        # Whether its file exists already depends on timing; events must be the same in every run.
-        add_event("sets", f"set_{its_set.state}", payload_of(replace(its_set, file_sha256=None)))
+        add_event("sets", f"set_{its_set.state}", reported(its_set))
         for feature in position_result.features:
             if feature.shot_index is None:
-                add_event("features", "set_features", payload_of(feature))
+                add_event("features", "set_features", reported(feature))
         for thickness in position_result.thickness:
-            add_event("thickness", "thickness_read", payload_of(thickness))
+            add_event("thickness", "thickness_read", reported(thickness))
         if position_result.baseline is not None:
             approved_ns = moment.utc_ns if position_result.baseline.state == "approved" else None
             baseline = replace(
@@ -87,13 +87,13 @@ class Transaction(SetCommit):
             payload = payload_of(baseline, last="created_utc_ns")
             add_event("assessments", "baseline_frozen", payload)
         for assessment in position_result.assessments[-1:]:
-            add_event("assessments", "set_assessed", payload_of(assessment))
+            add_event("assessments", "set_assessed", reported(assessment))
 
     def add_environment(self, row: EnvironmentRow, moment: Moment) -> None:
         """Add the readings of supply and climate probe around a set."""
         self.environment.append(row)
         self._add_event(
-            "environment", "environment_read", payload_of(row), moment, set_key=SetKey(row.set_index)
+            "environment", "environment_read", reported(row), moment, set_key=SetKey(row.set_index)
         )
 
     def add_event(

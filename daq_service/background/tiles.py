@@ -1,7 +1,7 @@
 """Update of the waterfall's tiles in the worker process; errors affect only the tiles.
 
-A set is added while its file is written (`add_record_to_tiles`). Sets that are missing after an older
-version, a full volume or a corrupt tile are added while no set is due.
+A set is added while its file is written (`add_record_to_tiles`). Rows of incomplete blocks, and sets that are
+missing after an older version, a full volume or a corrupt tile, are added while no set is due.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def add_record_to_tiles(
     if record.unscheduled_index:
         return ""
     try:
-        write_tiles_of_set(folder, experiment, record, anchors)
+        write_tiles_of_set(folder, experiment, record, anchors, complete_blocks_only=True)
     except Exception as error:  # noqa: BLE001 - a cache; whatever it meets, the test goes on
         return f"the tiles of the waterfall lack a set: {error!r}"
     return ""

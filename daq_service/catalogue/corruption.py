@@ -11,9 +11,10 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from daq_service.catalogue.connection import FILE_NAME, REMEDY, make_engine
 from daq_service.catalogue.errors import CatalogueDamagedError
+from daq_service.catalogue.reported_rows import lost_rows
 from daq_service.catalogue.row_checksum import DamagedRow, checked
 from daq_service.catalogue.rows import Row
-from daq_service.catalogue.tables import KINDS, table_of
+from daq_service.catalogue.tables import KINDS, events, table_of
 
 UNREADABLE = (SQLAlchemyError, UnicodeDecodeError)
 """Errors on reading a corrupt file; SQLite may return a corrupt name that is no text."""
@@ -78,8 +79,15 @@ def corruption_in(connection: Connection, *, rows: bool = True) -> Iterator[Cata
             )
     except UNREADABLE as error:
         yield CatalogueCorruption(description=_first_line(error))
-    for kind in KINDS if rows else ():
+    if not rows:
+        return
+    for kind in KINDS:
         yield from _damaged_rows(connection, kind, table_of(kind))
+    try:
+        for event_id, description in lost_rows(connection):
+            yield CatalogueCorruption(table=events.name, row_id=event_id, description=description)
+    except UNREADABLE as error:
+        yield CatalogueCorruption(table=events.name, description=_first_line(error))
 
 
 def _damaged_rows(connection: Connection, kind: type[Row], table: Table) -> Iterator[CatalogueCorruption]:

@@ -1,4 +1,4 @@
-"""Read rows of earlier schemas: columns, nested keys, kinds and states to 0013, set numbers to 0014.
+"""Read rows of earlier schemas: columns, nested keys, kinds and states to 0013, set numbers to 0015.
 
 The migration stores them with the current names; the history keeps its lines, which are converted as they
 are read. No current name is also an earlier one of the same table, so current rows stay as they are.

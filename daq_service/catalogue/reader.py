@@ -15,6 +15,7 @@ import sqlalchemy as sa
 from daq_service.catalogue.connection import make_engine, translated, writing
 from daq_service.catalogue.errors import CatalogueError, NoDataYetError
 from daq_service.catalogue.published_columns import Purposes
+from daq_service.catalogue.reported_rows import with_rows
 from daq_service.catalogue.row_checksum import checked_rows, checked_values, storable
 from daq_service.catalogue.rows import (
     AlarmRow,
@@ -276,7 +277,7 @@ class Catalogue:
     def _rows(self, kind: type[R], statement: sa.Select[Any]) -> list[R]:
         """Read the rows of a query."""
         with self.reading() as connection:
-            return read_rows(connection, kind, statement)
+            return with_rows(connection, read_rows(connection, kind, statement))
 
     def _newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
         """Return the last stored row that meets a condition; None if there is none."""

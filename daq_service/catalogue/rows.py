@@ -395,7 +395,7 @@ class TrendBlockRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssessorStateRow(Row):
-    """Part of the state of a position's assessor after its newest set (`assessment.stored_state`)."""
+    """Part of the state of a position's assessor after its newest set (`assessment.position_assessors`)."""
 
     place: str  # position and part
     position: str

@@ -7,12 +7,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TypeVar
 
-from sqlalchemy import Connection, select
+from sqlalchemy import Connection
 
 from daq_service.catalogue.connection import FILE_NAME, make_engine, translated
 from daq_service.catalogue.corruption import UNREADABLE
 from daq_service.catalogue.errors import SchemaVersionError
 from daq_service.catalogue.migrations import SCHEMA_REVISION, known_revisions
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, is_joined, joined, of_sets
 from daq_service.catalogue.row_checksum import DamagedRow, checked
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, Row, SetRow
 from daq_service.catalogue.store import revision_of
@@ -56,10 +57,17 @@ def read_sound_rows(folder: Path) -> Salvaged:
                 report = salvaged_rows.damage.append
                 for experiment in _sound_rows(connection, ExperimentRow, report):
                     salvaged_rows.experiment = experiment
-                salvaged_rows.events = {row.id or 0: row for row in _sound_rows(connection, EventRow, report)}
                 salvaged_rows.commands = {row.id: row for row in _sound_rows(connection, CommandRow, report)}
-                for row in _sound_rows(connection, SetRow, report):
-                    if row.file and row.file_sha256:
+                rows = [
+                    row
+                    for kind in dict.fromkeys(ROW_OF_EVENT.values())
+                    for row in _sound_rows(connection, kind, report)
+                ]
+                events = joined(_sound_rows(connection, EventRow, report), rows)
+                # Without its row an event is lost, unless the history has it.
+                salvaged_rows.events = {row.id or 0: row for row in events if not is_joined(row)}
+                for row in rows:
+                    if isinstance(row, SetRow) and row.file and row.file_sha256:
                         salvaged_rows.digests[row.file] = row.file_sha256
     finally:
         engine.dispose()
@@ -72,7 +80,7 @@ def _sound_rows(connection: Connection, kind: type[R], report: Callable[[str], N
     key = table.primary_key.columns[0]
     for backwards in (False, True):
         try:
-            result = connection.execute(select(table).order_by(key.desc() if backwards else key))
+            result = connection.execute(of_sets(kind).order_by(key.desc() if backwards else key))
             while True:
                 try:
                     stored = result.fetchone()

@@ -195,7 +195,7 @@ class UnchangedCatalogue:
 
     @cached_property
     def _has_unscheduled_index(self) -> bool:
-        """Whether unscheduled sets have their own column, as since revision 0015."""
+        """Whether unscheduled sets have their own column, as since revision 0016."""
         return "unscheduled_index" in self._values("SELECT name FROM pragma_table_info('sets')")
 
     @property
@@ -234,6 +234,6 @@ class UnchangedCatalogue:
 
 
 def _key_of(row: Mapping[str, Any]) -> SetKey:
-    """Return the key of a row; up to revision 0014 it is one number."""
+    """Return the key of a row; up to revision 0015 it is one number."""
     set_index, unscheduled_index = row["set_index"], row["unscheduled_index"]
     return SetKey(set_index, unscheduled_index) if unscheduled_index else SetKey.of_number(set_index)

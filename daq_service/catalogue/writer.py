@@ -14,6 +14,7 @@ from sqlalchemy import ColumnElement, Connection, bindparam, delete, func, inser
 from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
 from daq_service.catalogue.reader import Catalogue, due_time_counts, in_plan, read_rows, stored_command
+from daq_service.catalogue.reported_rows import without_rows
 from daq_service.catalogue.rollups import last_sets, touched_sets, update_trends
 from daq_service.catalogue.row_checksum import checked_rows, numbered, storable
 from daq_service.catalogue.rows import (
@@ -208,7 +209,8 @@ class RecorderCatalogue(Catalogue):
             _store_states(connection, list(commit.states.values()))
             alarm_ids = [_store(connection, row) for row in commit.alarms]
             annotation_ids = [_store(connection, row) for row in commit.annotations]
-            event_ids = _ids(_insert(connection, _dated_events(commit, alarm_ids, annotation_ids)))
+            reports = without_rows(_dated_events(commit, alarm_ids, annotation_ids), _of_set(commit))
+            event_ids = _ids(_insert(connection, reports))
             after = due_time_counts(connection, indices) if indices else {}
             _count(connection, commit, before, after)
             update_trends(connection, touched, last_before)
@@ -428,6 +430,12 @@ def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
 def _ids(rows: Iterable[Any]) -> list[int]:
     """Return the ids of rows."""
     return [row.id for row in rows]
+
+
+def _of_set(commit: SetCommit) -> list[Row]:
+    """Return the rows of a commit that events report."""
+    of_set = [row for row in commit.features if row.shot_index is None]
+    return [*commit.sets, *of_set, *commit.thickness, *commit.assessments, *commit.environment]
 
 
 def _dated_events(

@@ -9,9 +9,9 @@ from typing import Any
 
 import click
 
+from analysis.assessment.baseline_quality import GOOD_SETS
 from analysis.statistics.rules import MINIMUM_SETS
 from daq_service.acquisition.schedule import due_hours, plan
-from daq_service.assessment.baseline_quality import GOOD_SETS
 from daq_service.cli.forecast import most_confirmation_bytes, record_sizes, stored_bytes
 from daq_service.clock import format_utc, parse_utc
 from daq_service.errors import UsageError

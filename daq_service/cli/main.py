@@ -9,12 +9,11 @@ from __future__ import annotations
 import sys
 import traceback
 from contextlib import suppress
-from importlib import import_module
 from pathlib import Path
 
 import click
 
-from daq_service.cli.groups.registry import SECTIONS, section_of
+from daq_service.cli.groups.registry import SECTIONS, find_command
 from daq_service.errors import (
     EXIT_FAULT,
     EXIT_INTERRUPTED,
@@ -27,7 +26,7 @@ from daq_service.settings.foreign_text import plain_output
 
 
 class _CommandGroup(click.Group):
-    """Group that imports the options of a command when it is used, and shows sections."""
+    """Group of the commands of the registry, in sections."""
 
     def invoke(self, ctx: click.Context) -> object:
         """Run a command and exit with its code; a library that ends the process is an error."""
@@ -43,13 +42,8 @@ class _CommandGroup(click.Group):
         return [name for commands in SECTIONS.values() for name in commands]
 
     def get_command(self, ctx: click.Context, name: str) -> click.Command | None:
-        """Import the section of a command and return the command."""
-        if (section := section_of(name)) is None:
-            return None
-        found: click.Command = getattr(
-            import_module(f"daq_service.cli.groups.{section}"), name.replace("-", "_")
-        )
-        return found
+        """Return the command with its options."""
+        return find_command(name)
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the sections of the commands with complete summaries."""
@@ -67,6 +61,15 @@ def cli() -> None:
 
     Without hardware: `solimon demo` runs the paper's 350-hour corrosion test on the physics twin.
     """
+
+
+def print_completion(shell: str) -> None:
+    """Print the completion script of one of click's shells."""
+    from click.shell_completion import get_completion_class
+
+    kind = get_completion_class(shell)
+    assert kind is not None, "click knows each of these shells"
+    click.echo(kind(cli, {}, "solimon", "_SOLIMON_COMPLETE").source())
 
 
 @plain_output()

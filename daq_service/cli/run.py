@@ -11,10 +11,10 @@ import threading
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import asdict
-from functools import partial
+from functools import partial, wraps
 from pathlib import Path
 from types import MappingProxyType
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from daq_service.catalogue import check_owner
 from daq_service.cli.terminal import ProgressReport
@@ -67,8 +67,8 @@ SWEPT_BY_PYTHON = "ignore:resource_tracker:UserWarning"
 STOPPED = "the recorder was told to stop and strikes no more; start again with the same folder to go on"
 
 
-def child_code(carry_out: Callable[..., int], options: Mapping[str, Any]) -> int:
-    """Return the exit code of a child after sending it to the supervisor.
+def as_child(carry_out: Callable[..., int]) -> Callable[..., int]:
+    """Make a command a child process, which sends its exit code to the supervisor.
 
     Raises
     ------
@@ -77,15 +77,19 @@ def child_code(carry_out: Callable[..., int], options: Mapping[str, Any]) -> int
         started ends with `StorageUnavailableError` instead.
     """
 
-    def run() -> int:
-        try:
-            return carry_out(**options)
-        except StorageUnavailableError as error:
-            if not options["restart_reason"]:
-                raise
-            raise TriedAgainError(str(error)) from error
+    @wraps(carry_out)
+    def run_child(*, restart_reason: str, supervised: bool, **options: object) -> int:
+        def run() -> int:
+            try:
+                return carry_out(restart_reason=restart_reason, supervised=supervised, **options)
+            except StorageUnavailableError as error:
+                if not restart_reason:
+                    raise
+                raise TriedAgainError(str(error)) from error
 
-    return announced(run, supervised=options["supervised"])
+        return announced(run, supervised=supervised)
+
+    return run_child
 
 
 def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | None, no_web: bool) -> int:
@@ -167,6 +171,7 @@ def child_plans(
     return plans
 
 
+@as_child
 def record_alone(
     *,
     config: Path | None,

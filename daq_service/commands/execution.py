@@ -23,7 +23,6 @@ from daq_service.commands.kinds import Command, Facts
 from daq_service.commands.registry import KINDS, parse_command
 from daq_service.commands.running_test import PendingAnswer, RunningTest
 from daq_service.errors import StorageError, UsageError
-from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
@@ -35,8 +34,6 @@ FAILED: Answer = (
 )
 HARMLESS_TWICE = ("stop", "supply_off")
 """Commands that are executed even if the disk cannot store the mark before."""
-LISTEN_EVERY_S = 0.2
-"""A person does not notice a fifth of a second; SQLite does not notice five queries a second."""
 
 
 class CommandExecutor:
@@ -44,12 +41,15 @@ class CommandExecutor:
 
     Parameters
     ----------
-    listen_every_s
-        Minimum time between two queries, on the computer's monotonic clock.
     left_s
         Returns the remaining time of a command in s of real time, for any clock of the test.
     adopt
         Takes over the alarm that another process may have raised or cleared.
+
+    Attributes
+    ----------
+    held
+        Who paused the test and why; empty while it runs. A pause continues after a restart.
     """
 
     def __init__(
@@ -57,27 +57,17 @@ class CommandExecutor:
         catalogue: RecorderCatalogue,
         test: RunningTest,
         *,
-        listen_every_s: float = LISTEN_EVERY_S,
-        mono_ns: Callable[[], int] = time.monotonic_ns,
         left_s: Callable[[CommandRow], float] = remaining_now_s,
         adopt: Callable[[], None] = lambda: None,
     ) -> None:
         self._catalogue = catalogue
         self._test = test
-        self._listen_every_ns = round(listen_every_s * NS_PER_S)
-        self._mono_ns = mono_ns
         self._left_s, self._adopt = left_s, adopt
         self._has_started = False
-        self._listened_ns: int | None = None
         self._answers: dict[int, Answer] = {}
         self._awaited: dict[int, PendingAnswer] = {}
         # A restart never ends a pause.
-        self._held = catalogue.held() or ""
-
-    @property
-    def held(self) -> str:
-        """Return who paused the test and why; empty while it runs. A pause continues after a restart."""
-        return self._held
+        self.held = catalogue.held() or ""
 
     def begin(self) -> None:
         """Close the commands that an earlier recorder left open, without executing them."""
@@ -95,15 +85,11 @@ class CommandExecutor:
     def listen(self) -> None:
         """Execute the waiting commands; a rejected one is answered with the reason."""
         self.begin()
-        now_ns = self._mono_ns()
-        if self._listened_ns is not None and now_ns - self._listened_ns < self._listen_every_ns:
-            return
-        self._listened_ns = now_ns
         for row in self._catalogue.open_commands():
             # Once: if the disk cannot store an answer, the supply must not be switched on a second time.
             answer = self._answers.get(row.id) or self._execute(row)
             # Read from the catalogue, as after a restart.
-            self._held = self._catalogue.held() or ""
+            self.held = self._catalogue.held() or ""
             if answer is not None:
                 self._answers[row.id] = answer
                 self._finish(row, answer)
@@ -164,7 +150,7 @@ class CommandExecutor:
     def _facts(self) -> Facts:
         return Facts(
             can_skip_time=isinstance(self._test.clock, SimulatedClock),
-            held=self._held,
+            held=self.held,
             positions=self._test.positions,
             has_supply=self._test.supply is not None,
             alarms=list(self._test.alarms.values()),

@@ -43,23 +43,28 @@ class Freshness:
         self.epoch_utc_ns = catalogue.experiment_row().epoch_utc_ns
         self.clock = clock
         self.last_event_id = catalogue.last_event_id()
-        newest = catalogue.events_after(max(0, self.last_event_id - LOOK_BACK_EVENTS), None, LOOK_BACK_EVENTS)
-        last_event, recorder_event = (
-            newest[-1] if newest else None,
-            catalogue.last_service_event(*PROCESS_EVENTS),
-        )
+        after_id = max(0, self.last_event_id - LOOK_BACK_EVENTS)
+        times = ("utc_ns", "wall_utc_ns")
+        newest = catalogue.columns(EventRow, times, after_id=after_id, limit=LOOK_BACK_EVENTS)
+        utc_ns, wall_utc_ns = (newest[name] for name in times)
+        recorder_event = catalogue.last_service_event(*PROCESS_EVENTS)
         wall_ns = time.time_ns()
         self.recorder = read_recorder_state(folder, [recorder_event.kind] if recorder_event else [])
         test_time_ns = time_now_ns(self.recorder.beat) if clock == "wall" else None
         # A simulated clock stops while no recorder runs: the newest events give its time. The same holds for
         # an unverified real clock, and then the system's time may be earlier.
-        self.now_utc_ns = max((row.utc_ns for row in newest), default=self.epoch_utc_ns)
+        self.now_utc_ns = max(utc_ns, default=self.epoch_utc_ns)
         if clock == "wall":
             self.now_utc_ns = max(wall_ns, self.now_utc_ns) if test_time_ns is None else test_time_ns
         self.now_h = (self.now_utc_ns - self.epoch_utc_ns) / NS_PER_H
         self.system_ahead_s = None if test_time_ns is None else (wall_ns - test_time_ns) / NS_PER_S
-        self.written_ns = None if last_event is None else last_event.wall_utc_ns
-        self.wall_age_s = None if last_event is None else _age_s(wall_ns, last_event, test_time_ns)
+        self.written_ns = wall_utc_ns[-1] if wall_utc_ns else None
+        self.wall_age_s = None
+        if wall_utc_ns:
+            ages_ns = [wall_ns - wall_utc_ns[-1]]
+            if test_time_ns is not None:  # the system's clock was set
+                ages_ns.append(test_time_ns - utc_ns[-1])
+            self.wall_age_s = min((age_ns for age_ns in ages_ns if age_ns >= 0), default=0) / NS_PER_S
 
     def standing(self, row: AlarmRow) -> AlarmRow:
         """Return an alarm in its present state: an expired shelf has ended, also without a recorder."""
@@ -72,9 +77,3 @@ class Freshness:
     def age_h(self, due_h: float) -> float:
         """Return the age of an hour on the test clock, h; not negative."""
         return max(0.0, self.now_h - due_h)
-
-
-def _age_s(wall_ns: int, last: EventRow, test_time_ns: int | None) -> float:
-    """Return the age of an event in s; on the test clock where the system's clock was set."""
-    ages_ns = [wall_ns - last.wall_utc_ns, *([] if test_time_ns is None else [test_time_ns - last.utc_ns])]
-    return min((age_ns for age_ns in ages_ns if age_ns >= 0), default=0) / NS_PER_S

@@ -13,7 +13,6 @@ from daq_service.acquisition.taken_set import TakenSet, features_of_a_rehearsal
 from daq_service.archive import OpenSet, PositionRecord, SetRecord
 from daq_service.clock import boot_id
 from daq_service.commands.execution import CommandExecutor
-from daq_service.recording.cost import Cost
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.provenance import provenance
 from daq_service.recording.resources import Resources
@@ -43,14 +42,13 @@ class SetAcquisition:
         resources: Resources,
         assessor: SetAssessor,
         persistence: Persistence,
-        cost: Cost,
         features_of: FeaturesOf,
         commands: CommandExecutor,
     ) -> None:
         self._settings, self._rig = resources.settings, resources.rig
         self._archive, self._live = resources.archive, resources.live
         self._set_assessor, self._persistence = assessor, persistence
-        self._cost, self._commands = cost, commands
+        self._commands = commands
         self.features_of = features_of_a_rehearsal if self._rig.dry_run else features_of
         # Simulated time has one frame on every computer.
         self._in_real_time = resources.in_real_time
@@ -134,12 +132,7 @@ class SetAcquisition:
             may_strike=lambda position: position not in self._set_assessor.retired(),
         )
         try:
-            while True:
-                with self._cost.of("strike_and_read_s"):
-                    measurement = next(measurements, None)
-                if measurement is None:
-                    break
-                yield measurement
+            yield from measurements
         except InstrumentError as error:
             log.exception("set %s: the rig failed", due.set_key)
             taken.trouble = error
@@ -160,8 +153,7 @@ class SetAcquisition:
         if isinstance(measurement, MissedShot):
             return
         if isinstance(measurement, Shot):
-            with self._cost.of("extract_s"):
-                taken.features[measurement.sequence] = self.features_of(measurement)
+            taken.features[measurement.sequence] = self.features_of(measurement)
         if self._live.due(measurement.key.position):
             features = taken.features.get(measurement.sequence)
             self._live.show(measurement, due_h=due.due_h, features=features)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -12,7 +12,6 @@ from daq_service.clock import WallClock
 from daq_service.clock.machine import is_synchronised
 from daq_service.processes.disk_policy import DiskSpace
 from daq_service.processes.resource_use import open_handles, resident_bytes
-from daq_service.recording.cost import Cost
 from hardware_drivers.instruments import Clock
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -29,7 +28,7 @@ class ComputerLoad:
     process, recorder_wall_utc_ns
         The recorder: its number, and when it started by the computer's clock. Together they name it.
     stage_s
-        Wall time by stage of the line (`cost.STAGES`) since this recorder's reading before.
+        Wall time by stage of the line (`recorder.Cost`) since this recorder's reading before.
     resident_bytes, open_handles
         Of the recorder's process.
     free_bytes, total_bytes
@@ -77,16 +76,16 @@ class ComputerLoadWatch:
         self._started_ns = system_ns()
         self._last_seconds: dict[str, float] = {}
 
-    def read(self, cost: Cost) -> dict[str, Any]:
-        """Return a reading as the payload of its event."""
+    def read(self, seconds: Mapping[str, float]) -> dict[str, Any]:
+        """Return a reading as the payload of its event; ``seconds`` of the line so far by stage."""
         space, before = self._space(), self._last_seconds
-        self._last_seconds = dict(cost.seconds)
+        self._last_seconds = dict(seconds)
         real = isinstance(self._clock, WallClock)
         ahead_s = (self._system_ns() - self._clock.utc_ns()) / NS_PER_S if real else None
         reading = ComputerLoad(
             process=os.getpid(),
             recorder_wall_utc_ns=self._started_ns,
-            stage_s={name: round(s - before.get(name, 0.0), 6) for name, s in cost.seconds.items()},
+            stage_s={name: round(s - before.get(name, 0.0), 6) for name, s in seconds.items()},
             resident_bytes=resident_bytes(),
             open_handles=open_handles(),
             free_bytes=space.free_bytes if space.total_bytes else None,

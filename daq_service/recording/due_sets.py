@@ -108,7 +108,7 @@ class DueSets:
         if self._clock.utc_ns() < over_ns:
             return False
         reason = next((reason for until_ns, reason in absences if due.due_utc_ns <= until_ns), "")
-        self._record_gap(due, reason or self._persistence.overdue_reason(due.due_utc_ns))
+        self._record_gap(due, reason or self._waiting.storage.overdue_reason(due.due_utc_ns))
         return True
 
     def _calibrate_before(self, due: DueSet) -> None:
@@ -159,6 +159,6 @@ class DueSets:
             return reason
         now_ns = self._clock.utc_ns()
         if now_ns > due.due_utc_ns + NS_PER_H:
-            return self._persistence.overdue_reason(due.due_utc_ns)
+            return self._waiting.storage.overdue_reason(due.due_utc_ns)
         confirmations = self._set_assessor.confirmations
         return overlap_reason(confirmations.room_ns(self._plan[due.set_index], now_ns), confirmations.set_ns)

@@ -12,11 +12,10 @@ from dataclasses import dataclass
 from daq_service.alarms.rig_trouble import opening_condition
 from daq_service.alarms.states import Change, Condition, Moment, update
 from daq_service.assessment.transaction import Transaction
-from daq_service.background.write_retry_queue import PASSING
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow
-from daq_service.errors import BusyError, RigError
+from daq_service.errors import PASSING, BusyError, RigError
 from daq_service.processes.heartbeat import Heartbeat
 from hardware_drivers.errors import BusyError as InstrumentBusyError
 from hardware_drivers.errors import ConnectionLostError, InstrumentError, UnknownStatusError

@@ -8,7 +8,6 @@ events are what every other process learns.
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
@@ -24,13 +23,16 @@ from daq_service.assessment.transaction import Transaction
 from daq_service.errors import RigError, StorageError
 from daq_service.recording.acquire_set import FeaturesOf, SetAcquisition
 from daq_service.recording.carried_over import CarriedOver
+from daq_service.recording.clock_doubt import until_clock_is_believed
 from daq_service.recording.computer_load import MACHINE_READ
 from daq_service.recording.cost import Cost
 from daq_service.recording.due_sets import DueSets
 from daq_service.recording.opening import Opening, is_transient
+from daq_service.recording.operators import command_executor, listen_to_instruments
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
+from daq_service.recording.storage_alarms import StorageAlarms
 from daq_service.recording.waiting import Waiting
 from hardware_drivers.measurement import SetKey
 
@@ -47,20 +49,19 @@ class Recorder:
             resources.archive,
             resources.catalogue,
             resources.rig,
-            self._cost,
             resources.options.remote_drive,
             news=resources.report,
         )
-        self._persistence = persistence = Persistence(resources, assessor)
-        self._waiting = waiting = Waiting(resources, assessor, persistence)
-        self._acquisition = SetAcquisition(
-            resources, assessor, persistence, self._cost, features_of, waiting.commands
-        )
+        self._persistence = persistence = Persistence(resources)
+        storage = StorageAlarms(resources, assessor, persistence)
+        self.waiting = waiting = Waiting(resources, assessor, persistence, storage)
+        self._commands = waiting.commands = command_executor(resources, assessor, waiting)
+        self._acquisition = SetAcquisition(resources, assessor, persistence, features_of, self._commands)
         self._carried_over = CarriedOver(resources, assessor, persistence, self._acquisition)
         self._due_sets = DueSets(
             resources, assessor, persistence, self._carried_over, waiting, self._record_gap
         )
-        self._commands = waiting.commands
+        listen_to_instruments(resources, persistence, waiting)
 
     def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
         """Take every set that is still due; return False when ``stop`` came first.
@@ -70,8 +71,8 @@ class Recorder:
         opening
             What this recorder did before, while other sets may have fallen due.
         """
-        rig, persistence, waiting = self._resources.rig, self._persistence, self._waiting
-        done = self._resources.catalogue.committed_sets()
+        resources, persistence, waiting = self._resources, self._persistence, self.waiting
+        rig, done = resources.rig, resources.catalogue.committed_sets()
         persistence.do(self._commands.begin)
         started = {
             "rig": rig.kind,
@@ -83,9 +84,11 @@ class Recorder:
         }
         persistence.say("recorder_started", started)
         self._carried_over.quarantine_corrupt_files()
-        persistence.start_verification()
-        self._resources.report("begun")
-        absences = waiting.until_clock_is_believed(not_running_reason, opening)
+        waiting.storage.start_verification()
+        resources.report("begun")
+        absences = until_clock_is_believed(
+            resources, self._set_assessor, persistence, waiting, not_running_reason, opening
+        )
         for due in self.plan(done, absences):
             self._take(due)
         waiting.until_stored()
@@ -97,9 +100,10 @@ class Recorder:
         if hindrance := self._hindrance(due):
             self._record_gap(due, hindrance)
             return
-        self._waiting.announce(f"taking {_name_of(due)}")
+        self._set_assessor.adopt()
+        self.waiting.announce(f"taking {_name_of(due)}")
         if due.position is None:
-            self._waiting.next_set = due.set_index + 1
+            self.waiting.next_set = due.set_index + 1
         opened = self._carried_over.open_sets.pop(due.set_key, None)
         taken = self._acquisition.begin(due) if opened is None else self._acquisition.resume(opened)
         for measurement in self.acquire(due, taken):
@@ -123,13 +127,13 @@ class Recorder:
 
     def _finish(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
         """Take a set of records through the stages that the disk may refuse: they wait for it."""
-        self._waiting.announce(f"storing {_name_of(due)}")
+        self.waiting.announce(f"storing {_name_of(due)}")
         reason = self._carried_over.corruption_of.get(due.set_key, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
         self._acquisition.number_after(record)
         # Now, and not when the disk takes the set.
         watch = self._resources.computer_load
-        load = None if watch is None else watch.read(self._cost)
+        load = None if watch is None else watch.read(self._cost.seconds)
         self._persistence.post(
             partial(self.assess, due, record, taken.features, load),
             self.commit,
@@ -145,15 +149,22 @@ class Recorder:
 
     def acquire(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
         """Strike and read, measurement by measurement."""
-        return self._acquisition.measurements(due, taken, self._waiting.within_set)
+        measurements = self._acquisition.measurements(due, taken, self.waiting.within_set)
+        while True:
+            with self._cost.of("strike_and_read_s"):
+                measurement = next(measurements, None)
+            if measurement is None:
+                return
+            yield measurement
 
     def persist(self, measurement: Measurement, taken: TakenSet) -> None:
         """Append a measurement to the journal, and acknowledge it when it is durable."""
         self._acquisition.keep(measurement, taken)
 
     def extract(self, measurement: Measurement, due: DueSet, taken: TakenSet) -> None:
-        """Extract the features of a shot, which decide whether it is repeated."""
-        self._acquisition.extract(measurement, due, taken)
+        """Extract the features of a shot, which decide whether it is repeated; show the waveform."""
+        with self._cost.of("extract_s"):
+            self._acquisition.extract(measurement, due, taken)
 
     def assess(
         self,
@@ -165,8 +176,9 @@ class Recorder:
         """Make the set durable, then assess it: rows, alarms and events of one transaction."""
         stored = self._persistence.store(record)
         self._cost.add_set(asdict(stored.timings))
-        self._waiting.doing = f"assessing {_name_of(due)}"
-        transaction = self._set_assessor.assessed(due, record, stored.file, features)
+        self.waiting.doing = f"assessing {_name_of(due)}"
+        with self._cost.of("judge_s"):
+            transaction = self._set_assessor.assessed(due, record, stored.file, features)
         if load is not None and due.position is None:
             moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, **due.set_key._asdict())
             transaction.add_event(MACHINE_READ, load, moment, topic="machine")
@@ -174,7 +186,8 @@ class Recorder:
 
     def commit(self, transaction: Transaction) -> None:
         """Store the rows, alarms and events of a set in one transaction."""
-        self._set_assessor.store(transaction)
+        with self._cost.of("commit_s"):
+            self._set_assessor.store(transaction)
 
     def publish(self, due: DueSet, transaction: Transaction) -> None:
         """Report alarms and gaps, and have the set get its file."""
@@ -213,8 +226,6 @@ class Recorder:
         cut = self._stop.is_set() and not self._commands.held and taken.trouble is None
         return cut and not self._acquisition.is_complete(taken) and self._persistence.acknowledge()
 
-    # The end --------------------------------------------------------------------------------------
-
     def _end(self) -> bool:
         finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
         # A supervisor that was killed is no end of the test: the drive's process watches the supply.
@@ -222,18 +233,11 @@ class Recorder:
         supply = "" if drive is None else drive.end()
         farewell = {"cost": self._cost.as_row(), **({"supply": supply} if supply else {})}
         stopped = "recorder_left_alone" if is_unsupervised else "recorder_stopped"
-        self._waiting.end()
+        self.waiting.end()
         self._persistence.say("schedule_done" if finished else stopped, farewell)
         if finished:
-            self._waiting.until_stored()
+            self.waiting.until_stored()
         return finished
-
-    def linger(self) -> None:
-        """Listen to the operator, strike nothing, until ``stop`` is set."""
-        self._waiting.doing = "waiting for orders; every set is taken"
-        self._waiting.free_until_ns = math.inf
-        while self._waiting.between_sets():
-            self._stop.wait(self._resources.host.look_every_s)
 
     def leave(self) -> None:
         """Answer commands that were not started: this recorder does not execute them."""

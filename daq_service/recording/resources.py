@@ -19,7 +19,6 @@ from daq_service.background.task import BackgroundTask
 from daq_service.background.verification import IdleVerification
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.clock import Before, WallClock
-from daq_service.commands.execution import LISTEN_EVERY_S
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.processes.disk_policy import Usage, disk_usage
 from daq_service.processes.heartbeat import Heartbeat, WebWatch
@@ -30,6 +29,8 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
 from hardware_drivers.nanoseconds import NS_PER_H
 
+LISTEN_EVERY_S = 0.2
+"""A person does not notice a fifth of a second; SQLite does not notice five queries a second."""
 Reporter = Callable[..., None]
 """Called with the name of an event and its values: ``beat``, ``begun`` (first set is due or awaited),
 ``progress``, ``alarm``, ``gap``, ``finished``, ``waits`` (for the rig, whose alarm is active)."""
@@ -52,7 +53,7 @@ class Host:
     look_every_s
         Pause between two looks while a recorder can only wait.
     listen_every_s
-        Shortest time between two looks for commands.
+        Shortest time between two looks at commands and web service.
     waits_for_rig_s
         Wait before each further try to open the rig of a test that was started before; the last one repeats.
     """

@@ -23,7 +23,6 @@ from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
 from daq_service.background.tiles import TileMaker, add_record_to_tiles
 from daq_service.background.verification import IdleVerification
-from daq_service.background.write_retry_queue import PASSING
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.experiment_file import keep_experiment, write_experiment
@@ -31,6 +30,7 @@ from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
+from daq_service.errors import PASSING
 from daq_service.processes.data_folder import backup_identity
 from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
 from daq_service.processes.lost_catalogue import is_catalogue_lost
@@ -141,7 +141,7 @@ def record(
         if finished:
             report("finished")
             if options.linger:
-                recorder.linger()
+                recorder.waiting.linger()
         return finished
 
 

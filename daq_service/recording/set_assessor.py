@@ -33,7 +33,6 @@ from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.recording.confirmations import Alarms, Confirmations
-from daq_service.recording.cost import Cost
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -71,7 +70,6 @@ class SetAssessor:
         archive: SetReader,
         catalogue: RecorderCatalogue,
         rig: Rig | None,
-        cost: Cost,
         remote_drive: RemoteDrive | None = None,
         *,
         rehearsal: bool = False,
@@ -79,7 +77,6 @@ class SetAssessor:
     ) -> None:
         self._settings = settings
         self._catalogue = catalogue
-        self._cost = cost
         self._uncommitted: Transaction | None = None
         self._news = news
         rehearsal = rehearsal if rig is None else rig.dry_run
@@ -132,7 +129,6 @@ class SetAssessor:
         file, sha256
             Where the record lies, and the SHA-256 of the file if it is made.
         """
-        self.adopt()
         moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, **due.set_key._asdict())
         causes = {position.position: position.cause for position in record.positions}
         retired = self.retired()
@@ -147,9 +143,8 @@ class SetAssessor:
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             assessor = self.assessors[position]
-            with self._cost.of("judge_s"):
-                assess_set = assessor.assess_set if due.position is None else assessor.assess_unscheduled
-                position_result = assess_set(due, record, features)
+            assess_set = assessor.assess_set if due.position is None else assessor.assess_unscheduled
+            position_result = assess_set(due, record, features)
             row = replace(
                 without_records(self._settings, due, position, retired=False, cause=causes[position]),
                 state="done" if not causes[position] else "partial" if measurements else "missed",
@@ -269,8 +264,7 @@ class SetAssessor:
         if keys or (self.assessors.reinstated and self._uncommitted is None):
             transaction.states |= self.assessors.changed_states()
         self._uncommitted = transaction if keys else self._uncommitted
-        with self._cost.of("commit_s"):
-            committed = self._catalogue.commit_set(transaction)
+        committed = self._catalogue.commit_set(transaction)
         self._uncommitted = None if transaction is self._uncommitted else self._uncommitted
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)

@@ -4,25 +4,21 @@ from __future__ import annotations
 
 import logging
 import math
+import time
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 
 from daq_service.acquisition.schedule import DueSet
-from daq_service.alarms.clock_trouble import doubt_condition
-from daq_service.assessment.transaction import Transaction
-from daq_service.background.write_retry_queue import PASSING
-from daq_service.catalogue.rows import AnnotationRow
 from daq_service.clock import WallClock
 from daq_service.commands.execution import CommandExecutor
-from daq_service.commands.running_test import RunningTest
-from daq_service.recording.opening import Opening
-from daq_service.recording.persistence import Persistence
+from daq_service.errors import PASSING
+from daq_service.recording.persistence import Persistence, Trouble
 from daq_service.recording.resources import Resources
-from daq_service.recording.resumed_time import CLOCK_BELIEVED, CLOCK_STEP
+from daq_service.recording.resumed_time import CLOCK_STEP
 from daq_service.recording.set_assessor import SetAssessor
-from hardware_drivers.measurement import ShotKey
-from hardware_drivers.methods import SOLITARY_WAVE
+from daq_service.recording.storage_alarms import StorageAlarms
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -31,9 +27,6 @@ WAIT_FOR_FILES_S = 60.0
 """A file takes some hundredths of a second; where it takes this long, the journal keeps its set."""
 MOST_UNDER_WAY = 40
 """Whole sets whose files are being made: two segments of the journal."""
-
-ASKED, ASKED_OVER = "asked", "asked_over"
-"""Events: a person is asked to do something now; that is done, or too late."""
 
 
 class Waiting:
@@ -45,70 +38,68 @@ class Waiting:
         What the recorder does; the next beat shows it.
     free_until_ns
         Until when (ns of UTC) no set is due.
+    request
+        What an instrument asks a person to do now; empty: nothing.
     commands
-        What the operator orders.
+        What the operator orders; set by the recorder.
     newest
         Scheduled set that was taken last; None before the first one and after the last one.
     next_set
         Index of the first scheduled set of which no shot is struck yet.
     """
 
-    def __init__(self, resources: Resources, assessor: SetAssessor, persistence: Persistence) -> None:
+    def __init__(
+        self, resources: Resources, assessor: SetAssessor, persistence: Persistence, storage: StorageAlarms
+    ) -> None:
         self._resources, self._set_assessor, self._persistence = resources, assessor, persistence
-        self._clock, self._request = resources.rig.clock, ""
-        self.doing, self.free_until_ns = "starting", -math.inf
+        self._clock, self.storage, self._look_again_s = resources.rig.clock, storage, -math.inf
+        self.doing, self.request, self.free_until_ns = "starting", "", -math.inf
         self.newest: DueSet | None = None
         self.next_set = 0
-        settings, catalogue, drive = resources.settings, resources.catalogue, assessor.drive
-        test = RunningTest(
-            clock=resources.rig.clock,
-            moment=resources.moment,
-            stop=resources.stop,
-            alarms=assessor.alarms,
-            annotations=lambda: catalogue.rows(AnnotationRow),
-            store=assessor.commit,
-            reinstated=assessor.assessors.reinstate,
-            confirmation=self._request_set,
-            settings=settings,
-            next_set=lambda: self.next_set,
-            baseline=catalogue.baseline,
-            renewed=assessor.assessors.renew,
-            positions=settings.names_of(SOLITARY_WAVE),
-            supply=drive if drive is not None and drive.has_supply else None,
-        )
-        self.commands = CommandExecutor(
-            catalogue, test, listen_every_s=resources.host.listen_every_s, adopt=assessor.adopt
-        )
-        persistence.on_trouble = self.beat
-        resources.rig.asking.listen(self._report_request)
+        self.commands: CommandExecutor
+        persistence.on_change = self._report_trouble
 
     def between_sets(self) -> bool:
-        """Run the background tasks, beat and listen; False once the recorder shall stop."""
-        self._persistence.run_for((self.free_until_ns - self._clock.utc_ns()) / NS_PER_S)
+        """Run the background tasks, beat and look; False once the recorder shall stop."""
+        seconds = (self.free_until_ns - self._clock.utc_ns()) / NS_PER_S
+        self._persistence.run_for(seconds)
+        for task in self._resources.tasks:  # none that can wait, while the disk takes nothing
+            task.run_for(seconds if self._persistence.trouble is None else 0.0)
+        self.storage.report()
+        self._try(partial(self._set_assessor.expire_shelves, self._resources.moment()))
         return self.within_set()
 
     def within_set(self) -> bool:
-        """Beat and listen, also between shots: nothing else advances the heartbeat."""
+        """Beat and look, also between shots: nothing else advances the heartbeat."""
         if isinstance(self._clock, WallClock):
             for step in self._clock.steps():
                 log.warning("%s", step.message)
                 self._persistence.say(CLOCK_STEP, asdict(step))
-        self._persistence.watch()
+        if self._resources.disk is not None:
+            self._resources.disk.run_for(0.0)
         self.beat()
-        if self._persistence.trouble is None:
-            self._persistence.do(self._listen)
-        else:
-            with suppress(*PASSING):  # the trouble is reported; a pause takes effect once it is readable
-                self._listen()
+        now_s = time.monotonic()
+        if now_s >= self._look_again_s:
+            self._look_again_s = now_s + self._resources.host.listen_every_s
+            self.storage.watch_web()
+            self._try(self.commands.listen)
         if self._set_assessor.drive is not None:
             self._set_assessor.drive.tick(self._resources.moment().due_h)
         return not self._resources.stop.is_set()
+
+    def _try(self, job: Callable[[], None]) -> None:
+        """Do something that the disk may refuse: then it waits for the disk, or is tried at the next look."""
+        if self._persistence.trouble is None:
+            self._persistence.do(job)
+        else:
+            with suppress(*PASSING):  # the trouble is reported; a pause takes effect once it is readable
+                job()
 
     def until_stored(self) -> None:
         """Let nothing go on before everything is stored, but a stop."""
         while self._persistence.trouble is not None and self.between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s)
-        self._persistence.use_reserve()
+        self.storage.use_reserve()
 
     def for_worker(self) -> None:
         """Let no simulated time outrun the files: journal and memory would grow with the test."""
@@ -126,15 +117,20 @@ class Waiting:
             finalizer.try_again()
             stop.wait(host.look_every_s)
 
-    def _listen(self) -> None:
-        self.commands.listen()
-        self._set_assessor.expire_shelves(self._resources.moment())
+    def linger(self) -> None:
+        """Listen to the operator, strike nothing, until ``stop`` is set."""
+        self.doing, self.free_until_ns = "waiting for orders; every set is taken", math.inf
+        while self.between_sets():
+            self._resources.stop.wait(self._resources.host.look_every_s)
 
     # What the recorder does -----------------------------------------------------------------------
 
     def beat(self, *, at_once: bool = False) -> None:
         """Show what the recorder does, what a person shall do, and what waits for the disk."""
-        parts = (self.doing, self._request, self._persistence.waiting)
+        waits, trouble = "", self._persistence.trouble
+        if trouble is not None:
+            waits = f"{len(self._persistence)} jobs wait in memory for the disk: {trouble.message}"
+        parts = (self.doing, self.request, waits)
         self._resources.heartbeat.beat("; ".join(filter(None, parts)), at_once=at_once)
 
     def announce(self, doing: str) -> None:
@@ -147,71 +143,6 @@ class Waiting:
         self._resources.heartbeat.stage, self.doing = "ended", "leaving"
         self.beat(at_once=True)
 
-    def _request_set(self, position: str, author: str, note: str) -> Transaction:
-        """Request an unscheduled set by a person's command; it is taken when the line is free.
-
-        Raises
-        ------
-        ValueError
-            It cannot be taken, and why.
-        """
-        if self.newest is None:
-            raise ValueError(
-                "no planned set was taken yet, or none is left: nothing is struck beside the plan"
-            )
-        moment = self._resources.moment()
-        return self._set_assessor.order_confirmation(self.newest, position, author, note, moment)
-
-    def _report_request(self, text: str, key: ShotKey | None) -> None:
-        """Report what an instrument asks a person to do now; an empty text withdraws it."""
-        self._request = text and f"waiting for a person: {text}"
-        # The record is waited for from here on, as long as the heartbeat's deadline allows.
-        self.beat(at_once=True)
-        if not text:
-            self._persistence.say(ASKED_OVER, {})
-            self._resources.report(ASKED_OVER)
-            return
-        shot = {} if key is None else asdict(key)
-        asked = {"text": text, **shot, "within_s": self._resources.settings.rig.read_timeout_s}
-        self._persistence.say(ASKED, asked)
-        self._resources.report(ASKED, **asked)
-
-    # The computer's clock -------------------------------------------------------------------------
-
-    def until_clock_is_believed(
-        self, not_running_reason: str, opening: Opening | None
-    ) -> list[tuple[int, str]]:
-        """Let time stand still while it is doubted; return until when (ns of UTC) sets were missed and why.
-
-        The list is in order of time.
-        """
-        clock, reasons = self._clock, list[str]()
-        if not isinstance(clock, WallClock):
-            return [(clock.utc_ns(), not_running_reason)]
-
-        def wait(reason: str) -> bool:
-            if not reasons:
-                log.error("waiting for a set clock: %s", reason)
-                self._report_doubt(reason)
-            reasons.append(reason)
-            self.doing = f"waiting for a set clock: {reason}"
-            return self.between_sets()
-
-        started_ns = clock.mono_ns()
-        believed = clock.wait_while_doubted(wait)
-        if self._resources.stop.is_set():
-            return []
-        if believed is not None:
-            log.warning("%s", believed.message)
-            self._persistence.say(CLOCK_BELIEVED, asdict(believed))
-        self._report_doubt("")
-        now_ns, waited = clock.utc_ns(), f"the recorder waited for a set clock: {''.join(reasons[:1])}"
-        offset_ns = now_ns - clock.mono_ns()
-        opened = [(offset_ns + started_ns, not_running_reason)]
-        if opening is not None:
-            opened = [(offset_ns + opening.since_mono_ns, not_running_reason), (opened[0][0], opening.text)]
-        return [*opened, (now_ns, waited)]
-
-    def _report_doubt(self, doubt: str) -> None:
-        update = partial(self._set_assessor.update_alarm, doubt_condition(doubt), self._resources.moment())
-        self._persistence.do(update)
+    def _report_trouble(self, trouble: Trouble | None) -> None:
+        self.storage.report_trouble(trouble)
+        self.beat()

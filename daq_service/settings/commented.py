@@ -7,7 +7,6 @@ import textwrap
 import tomllib
 from collections.abc import Collection, Iterator, Mapping
 from decimal import Decimal
-from typing import Any
 
 import tomlkit
 from tomlkit.items import Float, Item, Table, Trivia
@@ -23,7 +22,7 @@ _SWITCHED_OFF = re.compile(r"^#(?=[a-z\[])", re.MULTILINE)
 
 
 def commented_toml(
-    values: Mapping[str, Any], *, head: str = "", switched_off: Collection[KeyPath] = ()
+    values: Mapping[str, object], *, head: str = "", switched_off: Collection[KeyPath] = ()
 ) -> str:
     """Return the text of a configuration file.
 
@@ -59,7 +58,7 @@ def _switch_off(lines: list[str], tables: Collection[KeyPath]) -> Iterator[str]:
         yield f"#{line}" if off and line and not line.lstrip().startswith("#") else line
 
 
-def _table(values: Mapping[str, Any], path: KeyPath, described: set[str]) -> Table:
+def _table(values: Mapping[str, object], path: KeyPath, described: set[str]) -> Table:
     """Return a table with the description of each key that did not appear before."""
 
     def description(*name: str) -> str:

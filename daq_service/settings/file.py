@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from daq_service.errors import UsageError
 from daq_service.settings.instruments import ParametersError, with_defaults
 from daq_service.settings.schema import describe, known_keys
-from daq_service.settings.stored import KeyPath, flattened, renamed
+from daq_service.settings.stored import KeyPath, Tables, flattened, renamed
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
@@ -71,7 +71,7 @@ def load_settings(path: Path | None, *, overrides: Mapping[str, object] | None =
 
 
 def checked_settings(
-    values: dict[str, Any], path: Path, *, overrides: Mapping[str, Any] | None = None
+    values: Tables, path: Path, *, overrides: Mapping[str, object] | None = None
 ) -> Settings:
     """Validate the values of a file and return the settings; errors as of `load_settings`."""
     _refuse_unknown_variables()
@@ -107,7 +107,7 @@ def _refuse_placeholders(values: Mapping[str, object], path: Path) -> None:
         )
 
 
-def _resolve_recording(values: dict[str, Any], path: Path) -> None:
+def _resolve_recording(values: Tables, path: Path) -> None:
     """Make the source of a playback absolute, relative to the configuration file."""
     rig = values.get("rig")
     playback = rig.get("playback") if isinstance(rig, dict) else None
@@ -116,7 +116,7 @@ def _resolve_recording(values: dict[str, Any], path: Path) -> None:
         values["rig"] = {**values["rig"], "playback": {**playback, "source": source}}
 
 
-def _resolve_files(values: dict[str, Any], path: Path) -> None:
+def _resolve_files(values: Tables, path: Path) -> None:
     """Make the files of web service and receivers absolute, relative to the configuration file."""
     web = values.get("web")
     if isinstance(web, dict):
@@ -133,7 +133,7 @@ def _resolve_files(values: dict[str, Any], path: Path) -> None:
         values["notifications"] = notifications | {"receivers": found}
 
 
-def _with_absolute_files(path: Path, table: dict[str, Any], keys: Sequence[str]) -> dict[str, Any]:
+def _with_absolute_files(path: Path, table: Tables, keys: Sequence[str]) -> Tables:
     """Make the files that some keys name absolute."""
     files = {key: table[key] for key in keys if isinstance(table.get(key), str) and table[key]}
     return table | {key: str(path.absolute().parent / file) for key, file in files.items()}
@@ -153,7 +153,7 @@ def _refuse_unknown_variables() -> None:
                 )
 
 
-def _merge(values: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+def _merge(values: Mapping[str, object], overrides: Mapping[str, object]) -> Tables:
     merged = dict(values)
     for key, value in overrides.items():
         below = merged.get(key)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import ast
 import inspect
 import logging
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache
 from itertools import pairwise
 from types import ModuleType
-from typing import Any
 
 from pydantic import TypeAdapter
-from pydantic.json_schema import GenerateJsonSchema
+from pydantic.json_schema import GenerateJsonSchema, JsonSchemaValue
+from pydantic_core.core_schema import DataclassSchema, ModelSchema
 
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
@@ -43,7 +43,7 @@ class _Described(GenerateJsonSchema):
     pydantic's ``use_attribute_docstrings`` would read the sources anew at each start of each process.
     """
 
-    def _described(self, table: dict[str, Any], kind: type) -> dict[str, Any]:
+    def _described(self, table: JsonSchemaValue, kind: type) -> JsonSchemaValue:
         keys = table["properties"]
         for base in kind.__mro__[:-1]:
             if base.__name__ not in _classes(inspect.getmodule(base)):
@@ -52,20 +52,20 @@ class _Described(GenerateJsonSchema):
                 keys.get(name, {}).setdefault("description", words)
         return table
 
-    def model_schema(self, schema: Any) -> dict[str, Any]:
+    def model_schema(self, schema: ModelSchema) -> JsonSchemaValue:
         return self._described(super().model_schema(schema), schema["cls"])
 
-    def dataclass_schema(self, schema: Any) -> dict[str, Any]:
+    def dataclass_schema(self, schema: DataclassSchema) -> JsonSchemaValue:
         return self._described(super().dataclass_schema(schema), schema["cls"])
 
 
-def settings_schema() -> dict[str, Any]:
+def settings_schema() -> JsonSchemaValue:
     """Return the JSON Schema of the configuration, shipped as ``config/settings.schema.json``."""
     schema = Settings.model_json_schema(schema_generator=_Described)
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
 
 
-def schema_with_kinds() -> dict[str, Any]:
+def schema_with_kinds() -> JsonSchemaValue:
     """Return the schema with the keys of every installed kind of instrument.
 
     A kind that cannot be imported is left out; it is refused where a configuration names it.
@@ -91,7 +91,7 @@ def schema_with_kinds() -> dict[str, Any]:
 def describe(path: Sequence[str]) -> str:
     """Describe a key or table in words: by the text below it, else by the first paragraph of its class."""
     schema = _schema()
-    node: Mapping[str, Any] = schema
+    node = schema
     for name in path:
         node = _resolve_reference(schema, node)
         below = node.get("properties", {}).get(name, node.get("additionalProperties"))
@@ -101,11 +101,11 @@ def describe(path: Sequence[str]) -> str:
 
 
 @cache
-def _schema() -> dict[str, Any]:
+def _schema() -> JsonSchemaValue:
     return settings_schema()
 
 
-def _resolve_reference(schema: Mapping[str, Any], node: Mapping[str, Any]) -> Mapping[str, Any]:
+def _resolve_reference(schema: JsonSchemaValue, node: JsonSchemaValue) -> JsonSchemaValue:
     """Follow a reference, also of a key that may be absent."""
     options = [node, *node.get("anyOf", [])]
     names = [option["$ref"].rpartition("/")[2] for option in options if "$ref" in option]
@@ -116,7 +116,7 @@ def known_keys() -> list[str]:
     """Return the names of all keys at any level."""
     keys: set[str] = set()
 
-    def walk(node: Any) -> None:
+    def walk(node: object) -> None:
         if isinstance(node, dict):
             keys.update(node.get("properties", {}))
             for below in node.values():

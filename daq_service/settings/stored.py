@@ -19,6 +19,8 @@ from daq_service.settings.tree import HASHED_OUT, Settings
 from hardware_drivers.errors import ConfigurationError
 
 KeyPath = tuple[str, ...]
+Tables = dict[str, Any]
+"""Nested tables of a file: their values have no type before they are validated as settings."""
 
 RENAMED: Mapping[str, str | None] = {}
 """Keys or tables of earlier versions: dotted path (``*``: any one name) to today's path with as many ``*``,
@@ -57,7 +59,7 @@ def stored_settings(values: Mapping[str, object]) -> Settings:
     return _Stored(**renamed(values))
 
 
-def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
+def renamed(values: Mapping[str, object]) -> Tables:
     """Return nested tables with current names, without removed keys, with earlier values of new keys."""
     # What a version wrote has all its tables; one that a person wrote and left out means today's defaults.
     before = {path: value for key, value in BEFORE.items() if (path := tuple(key.split(".")))[0] in values}
@@ -65,7 +67,7 @@ def renamed(values: Mapping[str, Any]) -> dict[str, Any]:
     return nested(before | {path: value for path, value in moved if path})
 
 
-def differences(stored: Mapping[str, Any], given: Settings) -> list[str]:
+def differences(stored: Mapping[str, object], given: Settings) -> list[str]:
     """Return the differences in meaning between a stored configuration and the given one, by key.
 
     Parameters
@@ -125,7 +127,7 @@ def _with_current_defaults(settings: Settings) -> Settings:
         return settings
 
 
-def _unknown(values: Mapping[str, Any]) -> set[KeyPath]:
+def _unknown(values: Tables) -> set[KeyPath]:
     try:
         _Stored(**values)
     except ValidationError as error:
@@ -166,18 +168,20 @@ def _value(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
     return json.dumps(flat[path]) if path in flat else "no value"
 
 
-def flattened(values: Mapping[str, Any], above: KeyPath = ()) -> dict[KeyPath, Any]:
+def flattened(values: Mapping[str, object], above: KeyPath = ()) -> dict[KeyPath, object]:
     """Return the values by the path of each key; an empty table and a list count as values."""
-    flat: dict[KeyPath, Any] = {}
+    flat: dict[KeyPath, object] = {}
     for name, value in values.items():
-        below = isinstance(value, Mapping) and value
-        flat |= flattened(value, (*above, name)) if below else {(*above, name): value}
+        if isinstance(value, Mapping) and value:
+            flat |= flattened(value, (*above, name))
+        else:
+            flat[*above, name] = value
     return flat
 
 
-def nested(values: Mapping[KeyPath, Any]) -> dict[str, Any]:
+def nested(values: Mapping[KeyPath, object]) -> Tables:
     """Return nested tables from values by path; the inverse of `flattened`."""
-    tree: dict[str, Any] = {}
+    tree: Tables = {}
     for path, value in values.items():
         below = tree
         for name in path[:-1]:

@@ -37,6 +37,8 @@ def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: P
     names = archive.namelist()
     for wanted in (
         "daq_service/cli/groups/commands.toml",
+        "daq_service/cli/set_up/services/record.service",
+        "daq_service/cli/set_up/services/task.xml",
         "daq_service/config/simulated.toml",
         "daq_service/config/laboratory.toml",
         "daq_service/config/settings.schema.json",

@@ -16,7 +16,7 @@ from support.small_experiment import run, small_settings
 from support.stored_files import set_files
 
 from daq_service.alarms.guidance import GUIDANCE
-from daq_service.cli.groups.registry import section_of
+from daq_service.cli.groups.registry import find_command
 from daq_service.cli.main import cli
 from daq_service.processes.notifications.webhook import signature
 from daq_service.settings.file import load_settings
@@ -164,7 +164,7 @@ def test_no_text_of_the_program_names_an_unknown_command(folder: str) -> None:
         for path in files
         for name in re.findall(r"`solimon ([a-z][a-z-]*)", path.read_text(encoding="utf-8"))
     }
-    assert {name: file for name, file in named.items() if section_of(name) is None} == {}
+    assert {name: file for name, file in named.items() if find_command(name) is None} == {}
 
 
 def test_the_api_page_names_every_resource() -> None:

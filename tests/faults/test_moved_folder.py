@@ -36,7 +36,7 @@ def test_sets_wait_for_the_tests_own_folder(tmp_path, impostor):
 
     assert run(small_settings(schedule=SHORT), undisturbed)
     reading = BringBack()
-    log = logging.getLogger("daq_service.background.write_retry_queue")
+    log = logging.getLogger("daq_service.recording.persistence")
     log.addHandler(reading)
     try:
         assert run(small_settings(schedule=SHORT), data, rig=disturbed_rig(move_away))

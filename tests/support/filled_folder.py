@@ -12,11 +12,12 @@ from pathlib import Path
 import httpx
 import numpy as np
 
+from analysis.assessment.confirmation import STEP
 from analysis.waves.features import FEATURE_NAMES, extract_features
 from daq_service.acquisition.schedule import plan, unscheduled_set
 from daq_service.alarms.states import Change, Moment, acknowledge, reset, shelve
 from daq_service.archive import PositionRecord, SetRecord
-from daq_service.assessment.confirmation import CONFIRMATION_ASKED, STEP, Confirmation
+from daq_service.assessment.confirmation import CONFIRMATION_ASKED, Confirmation
 from daq_service.assessment.transaction import Transaction, shot_row
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import SetCommit, open_catalogue

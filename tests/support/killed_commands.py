@@ -32,7 +32,6 @@ from daq_service.commands.execution import CommandExecutor
 from daq_service.commands.running_test import RunningTest
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.line_file import MOST_LINES
-from daq_service.recording.cost import Cost
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import sync_folder
@@ -95,7 +94,7 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
     """
     clock = SimulatedClock(catalogue.experiment_row().epoch_utc_ns)
     rig = cast(Rig, SimpleNamespace(dry_run=False, supply=None, climate=None))
-    ledger = SetAssessor(WAVES_ONLY, FolderArchive(folder), catalogue, rig, Cost())
+    ledger = SetAssessor(WAVES_ONLY, FolderArchive(folder), catalogue, rig)
 
     def moment() -> Moment:
         return Moment(utc_ns=clock.utc_ns(), due_h=0.0, set_index=None)
@@ -123,7 +122,7 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
     )
     history = HistoryFollower(folder, catalogue)
     history.begin()
-    listener = CommandExecutor(catalogue, test, listen_every_s=0.0)
+    listener = CommandExecutor(catalogue, test)
     listener.begin()
 
     def look() -> None:

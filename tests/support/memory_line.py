@@ -36,11 +36,10 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.clock import SimulatedClock, parse_utc
-from daq_service.commands.execution import LISTEN_EVERY_S
 from daq_service.processes.heartbeat import Heartbeat, Stage, WebWatch
 from daq_service.recording.computer_load import ComputerLoadWatch
 from daq_service.recording.recorder import Recorder
-from daq_service.recording.resources import Host, Resources, SessionOptions
+from daq_service.recording.resources import LISTEN_EVERY_S, Host, Resources, SessionOptions
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError

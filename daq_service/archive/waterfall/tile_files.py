@@ -20,7 +20,12 @@ from daq_service.archive.waterfall.tiles import TILES_FOLDER, TileRow, Tiles
 
 
 def write_tiles_of_set(
-    folder: Path, experiment: str, record: SetRecord, anchors: Mapping[int, float]
+    folder: Path,
+    experiment: str,
+    record: SetRecord,
+    anchors: Mapping[int, float],
+    *,
+    complete_blocks_only: bool = False,
 ) -> None:
     """Add a set to the tiles of its positions; existing rows stay.
 
@@ -30,6 +35,8 @@ def write_tiles_of_set(
          Identifier of the test (`Tiles.experiment`).
     anchors
         Shot id to the time of its first pulse or echo (`anchors_of`).
+    complete_blocks_only
+        For the newest set of a test: see `Tiles.write_row`.
 
     Raises
     ------
@@ -41,9 +48,8 @@ def write_tiles_of_set(
             tiles = tiles_of(folder, experiment, record, position.position, alignment)
             if tiles is None or tiles.has_set(record.set_index):
                 continue
-            tiles.write_row(
-                row_of(record, planes_of_set(record, position.position, alignment, anchors, tiles.frame))
-            )
+            planes = planes_of_set(record, position.position, alignment, anchors, tiles.frame)
+            tiles.write_row(row_of(record, planes), complete_blocks_only=complete_blocks_only)
 
 
 def write_tiles_of_file(

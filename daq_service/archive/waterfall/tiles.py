@@ -118,8 +118,13 @@ class Tiles:
                 return False
         return row is not None
 
-    def write_row(self, row: TileRow) -> None:
+    def write_row(self, row: TileRow, *, complete_blocks_only: bool = False) -> None:
         """Write the row of a set and update the coarser rows above it.
+
+        Parameters
+        ----------
+        complete_blocks_only
+            Update a coarser row only with the last of its finer ones. Until then readers join the finer ones.
 
         Raises
         ------
@@ -129,6 +134,8 @@ class Tiles:
         for level in range(LEVELS):
             number = row.first_set // FACTOR**level
             neighbors = self._write(level, number, row)
+            if complete_blocks_only and number % FACTOR != FACTOR - 1:
+                return
             finer_rows = dict(self._sound_rows(level, number - number % FACTOR, neighbors)) | {number: row}
             row = join_rows([finer_rows[index] for index in sorted(finer_rows)])
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Literal
+from typing import Literal
 
 from daq_service import errors
 from daq_service.clock import boot_id
@@ -30,7 +30,7 @@ EXIT_CODES: Mapping[Area, int] = {
 HELD = "end the program that holds it, or wait until that ends; nothing of it was touched"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Check:
     """Result of one check.
 
@@ -48,14 +48,14 @@ class Check:
 
     area: Area
     name: str
-    state: State = "ok"
+    state: State
     found: str
     remedy: str = ""
     values: Mapping[str, Value] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.state == "ok":
-            Any.__setattr__(self, "remedy", "")
+            object.__setattr__(self, "remedy", "")
         elif not self.remedy:
             raise ValueError(f"the check {self.name!r} is {self.state!r} and needs a remedy")
 
@@ -76,11 +76,11 @@ def failure(name: str, error: InstrumentError, otherwise: str) -> Check:
     """
     if isinstance(error, BusyError):
         # A program that holds an instrument counts like a recorder.
-        return Check(area="recorder", name=name, state="fail", found=str(error), remedy=HELD)
+        return Check("recorder", name, "fail", str(error), HELD)
     problem, _, remedy = str(error).rpartition("; ")
     if not problem:
         problem, remedy = str(error), otherwise
-    return Check(area="rig", name=name, state="fail", found=problem, remedy=remedy)
+    return Check("rig", name, "fail", problem, remedy)
 
 
 def check_of_finding(finding: Finding, instrument: str = "") -> Check:
@@ -88,21 +88,15 @@ def check_of_finding(finding: Finding, instrument: str = "") -> Check:
 
     Parameters
     ----------
-    of
-         Name of the instrument if there are multiple.
+    instrument
+        Name of the instrument if there are multiple.
     """
     name = ": ".join(filter(None, (instrument, finding.subject, finding.check)))
     if finding.held:
         # A program that holds an instrument counts like a recorder.
-        return Check(area="recorder", name=name, state="fail", found=finding.detail, remedy=HELD)
-    return Check(
-        area="rig",
-        name=name,
-        state=finding.state,
-        found=finding.detail,
-        remedy=finding.remedy or "see what its maker says of it",
-        values=finding.values,
-    )
+        return Check("recorder", name, "fail", finding.detail, HELD)
+    remedy = finding.remedy or "see what its maker says of it"
+    return Check("rig", name, finding.state, finding.detail, remedy, finding.values)
 
 
 def stamp_now() -> Stamp:

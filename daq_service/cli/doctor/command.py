@@ -120,7 +120,8 @@ def rig_checks(
     for item in instruments:
         name = KNOWN_AS.get(item.name, item.name)
         if set(item.kind.packages(item.parameters)) & missing:
-            yield _needs_package(name)
+            found = "not looked at: a package they need is missing"
+            yield _skipped(name, found, "install what failed above, then look again")
         elif driven and "supply" in item.serves:
             yield _skipped(name, "its own process has the port", "see `solimon status`")
         else:
@@ -133,24 +134,18 @@ def rig_checks(
                 yield failure(name, error, "see what its maker says of it")
 
 
-def _needs_package(name: str) -> Check:
-    """Return the skipped check of an instrument whose package is missing."""
-    found = "not looked at: a package they need is missing"
-    return _skipped(name, found, "install what failed above, then look again")
-
-
 def _skipped(name: str, found: str, remedy: str) -> Check:
     """Return a skipped check."""
-    return Check(area="rig", name=name, state="skipped", found=found, remedy=remedy)
+    return Check("rig", name, "skipped", found, remedy)
 
 
 def _recorder(owner: str) -> Check:
     """Return the check for a recorder that owns the folder."""
     name = "recorder"
     if not owner:
-        return Check(area="recorder", name=name, found="no recorder owns the data folder")
+        return Check("recorder", name, "ok", "no recorder owns the data folder")
     problem, _, remedy = owner.partition("; ")
-    return Check(area="recorder", name=name, state="fail", found=problem, remedy=remedy)
+    return Check("recorder", name, "fail", problem, remedy)
 
 
 def _skipped_instruments(instruments: Sequence[Instrument]) -> Iterator[Check]:

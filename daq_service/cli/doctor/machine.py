@@ -47,7 +47,7 @@ def machine_checks(
         return [*checks, _synchronised(ask, system), *unattended_checks(folder, ask, system)]
     unneeded = "nothing to do: the experiment runs on simulated time"
     return checks + [
-        Check(area="machine", name=name, state="skipped", found="not looked at", remedy=unneeded)
+        Check("machine", name, "skipped", "not looked at", unneeded)
         for name in ("clock synchronised", "sleep", "updates", "antivirus")
     ]
 
@@ -59,12 +59,12 @@ def _monotonic(wall_elapsed_s: float, mono_elapsed_s: float) -> Check:
     steady = info.monotonic and mono_elapsed_s >= 0.0
     within_limit = abs(drift_s) <= LARGEST_STEP_S
     return Check(
-        area="machine",
-        name="monotonic clock",
-        state="fail" if not steady else "ok" if within_limit else "warn",
-        found=f"{info.implementation}, resolution {info.resolution:.0e} s; the wall clock moved away by "
+        "machine",
+        "monotonic clock",
+        "fail" if not steady else "ok" if within_limit else "warn",
+        f"{info.implementation}, resolution {info.resolution:.0e} s; the wall clock moved away by "
         f"{drift_s * 1e3:.0f} ms in the {mono_elapsed_s:.1f} s of this checkup",
-        remedy="let the clock be synchronised and settle, then look again"
+        "let the clock be synchronised and settle, then look again"
         if steady
         else "use another computer: its monotonic clock goes backwards",
         values={
@@ -80,12 +80,8 @@ def _time_zone() -> Check:
     now = datetime.now().astimezone()
     offset = now.utcoffset()
     offset_s = 0.0 if offset is None else offset.total_seconds()
-    return Check(
-        area="machine",
-        name="time zone",
-        found=f"{now.tzname()}, UTC{offset_s / 3600:+g} h; everything is stored in UTC",
-        values={"utc_offset_s": offset_s},
-    )
+    found = f"{now.tzname()}, UTC{offset_s / 3600:+g} h; everything is stored in UTC"
+    return Check("machine", "time zone", "ok", found, values={"utc_offset_s": offset_s})
 
 
 # Synchronised to UTC --------------------------------------------------------------------------------
@@ -99,14 +95,8 @@ def _synchronised(ask: Ask, system: str) -> Check:
         "win32": "w32tm /resync, and keep the service W32Time running",
         "darwin": "switch on Set time automatically in Date & Time",
     }.get(system, "timedatectl set-ntp true, or run chrony; look at timedatectl")
-    return Check(
-        area="machine",
-        name="clock synchronised",
-        state="ok" if answer else "warn",
-        found=f"{texts[answer]} ({source})",
-        remedy=command,
-        values={"synchronised": answer, "asked": source},
-    )
+    found, values = f"{texts[answer]} ({source})", {"synchronised": answer, "asked": source}
+    return Check("machine", "clock synchronised", "ok" if answer else "warn", found, command, values)
 
 
 def _clock_source(ask: Ask, system: str) -> tuple[str, bool | None]:

@@ -6,11 +6,11 @@ import importlib
 import platform
 import re
 import sys
-from collections.abc import Callable, Iterable
-from importlib.metadata import PackageNotFoundError, requires, version
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from importlib.metadata import PackageNotFoundError, requires
+from importlib.metadata import version as installed_version
 
-from daq_service.cli.doctor.check import Check
+from daq_service.cli.doctor.check import Check, State, Value
 
 OLDEST_PYTHON = (3, 11)
 ALWAYS = ("numpy", "scipy", "h5py", "numba", "pydantic", "sqlalchemy", "fastapi")
@@ -26,7 +26,7 @@ _MINIMUM = re.compile(r"^([A-Za-z0-9_.-]+)(?:\[[^\]]*\])?\s*>=\s*([0-9][0-9.]*)"
 def software_checks(
     needed: Iterable[str],
     *,
-    installed: Callable[[str], str] = version,
+    installed: Callable[[str], str] = installed_version,
     load: Callable[[str], object] = importlib.import_module,
 ) -> list[Check]:
     """Compare the installed versions with the minimum ones.
@@ -52,37 +52,27 @@ def _python() -> Check:
     """Check version and word size of Python."""
     bits = 64 if sys.maxsize > 2**32 else 32
     fits = sys.version_info[:2] >= OLDEST_PYTHON and bits == 64
-    return Check(
-        area="software",
-        name="python",
-        state="ok" if fits else "fail",
-        found=f"{platform.python_version()}, {bits} bit, {platform.platform()}",
-        remedy=f"install Python {'.'.join(map(str, OLDEST_PYTHON))} or later, 64 bit",
-        values={"version": platform.python_version(), "bits": bits, "platform": platform.platform()},
-    )
+    version, system = platform.python_version(), platform.platform()
+    values: Mapping[str, Value] = {"version": version, "bits": bits, "platform": system}
+    remedy = f"install Python {'.'.join(map(str, OLDEST_PYTHON))} or later, 64 bit"
+    found = f"{version}, {bits} bit, {system}"
+    return Check("software", "python", "ok" if fits else "fail", found, remedy, values)
 
 
 def _package(name: str, oldest: str, installed: Callable[[str], str]) -> Check:
-    # What a kind of another package needs comes with nothing of ours.
-    """Check the version of a package."""
+    """Check the version of a package; what a kind of another package needs comes with nothing of ours."""
     requirement = f"solimon[{EXTRAS[name]}]" if name in EXTRAS else "solimon" if oldest else name
     remedy = f'install it: python -m pip install "{requirement}"'
     try:
         found = installed(name)
     except PackageNotFoundError:
-        return Check(area="software", name=name, state="fail", found="not installed", remedy=remedy)
-    fits = _numbers(found) >= _numbers(oldest)
-    return Check(
-        area="software",
-        name=name,
-        state="ok" if fits else "fail",
-        found=found + (f" (at least {oldest})" if oldest else ""),
-        remedy=remedy,
-        values={"version": found, "oldest": oldest or None},
-    )
+        return Check("software", name, "fail", "not installed", remedy)
+    state: State = "ok" if _numbers(found) >= _numbers(oldest) else "fail"
+    text = found + (f" (at least {oldest})" if oldest else "")
+    return Check("software", name, state, text, remedy, {"version": found, "oldest": oldest or None})
 
 
-def _binaries(load: Callable[[str], Any]) -> Check:
+def _binaries(load: Callable[[str], object]) -> Check:
     """Check that the compiled packages load."""
     broken = {}
     for name in COMPILED:
@@ -90,14 +80,10 @@ def _binaries(load: Callable[[str], Any]) -> Check:
             load(name)
         except LOAD_ERRORS as error:
             broken[name] = f"{type(error).__name__}: {error}"
-    return Check(
-        area="software",
-        name="compiled packages",
-        state="fail" if broken else "ok",
-        found="; ".join(f"{name} does not load ({why})" for name, why in broken.items())
-        or f"{', '.join(COMPILED)} load",
-        remedy=f"install again: python -m pip install --force-reinstall {' '.join(broken)}",
-    )
+    failures = "; ".join(f"{name} does not load ({reason})" for name, reason in broken.items())
+    remedy = f"install again: python -m pip install --force-reinstall {' '.join(broken)}"
+    found = failures or f"{', '.join(COMPILED)} load"
+    return Check("software", "compiled packages", "fail" if broken else "ok", found, remedy)
 
 
 def _oldest_versions(requirements: Iterable[str]) -> dict[str, str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from analysis.errors import AnalysisError
 from analysis.waves.coil_spike import EdgeSpike, SpikeSurvey, survey_spike
@@ -51,18 +52,17 @@ def spike_check(
         check = failure(name, error, "mend what failed above, then strike")
         if isinstance(error, ConfigurationError) and parameters.holdoff_s is None:
             # A board that its counter cannot start takes shots all the same.
-            check = Check(area="rig", name=name, state="warn", found=check.found, remedy=check.remedy)
+            check = replace(check, area="rig", state="warn")
         return check, None
     except AnalysisError as error:
-        found = f"the record of a whole strike cannot be judged: {error}"
-        return Check(area="rig", name=name, state="warn", found=found, remedy="see the log"), None
+        found = f"the record of a whole strike cannot be assessed: {error}"
+        return Check("rig", name, "warn", found, "see the log"), None
     return _check_of_survey(name, parameters, survey), survey
 
 
 def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey) -> Check:
     """Return the check for a survey of the coil."""
     holdoff_s, off = parameters.holdoff_s, survey.off
-    remedy = _remedy(parameters, survey)
     armed_over = survey.takes_the_trigger if holdoff_s is None else holdoff_s <= off.ringing_s
     too_late = holdoff_s is not None and holdoff_s >= survey.latest_holdoff_s
     is_lost = armed_over or too_late
@@ -73,14 +73,13 @@ def _check_of_survey(name: str, parameters: DaqmxParameters, survey: SpikeSurvey
     )
     holdoff_text = "no holdoff" if holdoff_s is None else f"held off for {_time(holdoff_s)}"
     return Check(
-        area="rig",
-        name=name,
-        state="fail" if is_lost else "warn" if survey.obstacle else "ok",
-        found=f"on: {edge_in_words(survey.on)}; off: {edge_in_words(off)}; {wave_text} "
-        f"(expected {_time(parameters.fall_s)}); trigger level {parameters.trigger_level_v:g} V, "
-        f"{holdoff_text}",
-        remedy=remedy,
-        values={
+        "rig",
+        name,
+        "fail" if is_lost else "warn" if survey.obstacle else "ok",
+        f"on: {edge_in_words(survey.on)}; off: {edge_in_words(off)}; {wave_text} (expected "
+        f"{_time(parameters.fall_s)}); trigger level {parameters.trigger_level_v:g} V, {holdoff_text}",
+        _remedy(parameters, survey),
+        {
             "on_height_v": survey.on.height_v,
             "off_height_v": off.height_v,
             "off_ringing_s": off.ringing_s,

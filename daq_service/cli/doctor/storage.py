@@ -16,7 +16,7 @@ from daq_service.catalogue import check_owner, open_catalogue
 from daq_service.catalogue.errors import NoDataYetError, SchemaVersionError
 from daq_service.catalogue.network_folder import network_filesystem
 from daq_service.catalogue.owner import refuse_other_experiment
-from daq_service.cli.doctor.check import Check
+from daq_service.cli.doctor.check import Check, State
 from daq_service.cli.inspection import describe_plan
 from daq_service.errors import BusyError, StorageError
 from daq_service.processes.data_folder import OWN_NAMES, own_data_folder
@@ -95,14 +95,10 @@ def _file_system(folder: Path) -> Check:
         found, remedy = f"on a network file system ({kind})", "choose a local disk with --data-dir"
     elif sys.platform not in ("linux", "win32"):
         found, remedy = "this system does not tell whether it is local", "see that it is on a local disk"
-    return Check(
-        area="folder",
-        name="data folder: place",
-        state="fail" if kind is not None else "warn" if remedy else "ok",
-        found=f"{folder} is {found}" if kind or not remedy else f"{folder}: {found}",
-        remedy=remedy,
-        values={"folder": str(folder), "network_file_system": kind},
-    )
+    state: State = "fail" if kind is not None else "warn" if remedy else "ok"
+    text = f"{folder}: {found}" if state == "warn" else f"{folder} is {found}"
+    values = {"folder": str(folder), "network_file_system": kind}
+    return Check("folder", "data folder: place", state, text, remedy, values)
 
 
 def _writable(folder: Path) -> Check:
@@ -127,20 +123,16 @@ def _writable(folder: Path) -> Check:
         found = f"{existing} cannot be written: {error.strerror}"
         return _failed(name, found, "correct its permissions or choose another folder with --data-dir")
     took_s = time.monotonic() - started_s
-    return Check(
-        area="folder",
-        name=name,
-        state="ok" if took_s <= SLOW_WRITE_S else "warn",
-        found=f"{folder}{'' if existing == folder else ' (to be made)'}; a small file is durable after "
-        f"{took_s * 1e3:.0f} ms",
-        remedy="use a faster disk, or find what keeps it busy",
-        values={"exists": existing == folder, "durable_write_s": took_s},
-    )
+    found = f"{folder}{'' if existing == folder else ' (to be made)'}; a small file is durable after "
+    found += f"{took_s * 1e3:.0f} ms"
+    values = {"exists": existing == folder, "durable_write_s": took_s}
+    state: State = "ok" if took_s <= SLOW_WRITE_S else "warn"
+    return Check("folder", name, state, found, "use a faster disk, or find what keeps it busy", values)
 
 
 def _failed(name: str, found: str, remedy: str) -> Check:
     """Return a failed check of the folder."""
-    return Check(area="folder", name=name, state="fail", found=found, remedy=remedy)
+    return Check("folder", name, "fail", found, remedy)
 
 
 def _owner(settings: Settings, folder: Path) -> Check:
@@ -154,12 +146,8 @@ def _owner(settings: Settings, folder: Path) -> Check:
                 refuse_other_experiment(experiment, folder, settings)
     except StorageError as error:
         return _failed(name, str(error), "use this test's own folder or configuration, or a new --data-dir")
-    return Check(
-        area="folder",
-        name=name,
-        found=f"free for this configuration ({own_hash[:12]})",
-        values={"configuration_hash": own_hash},
-    )
+    found = f"free for this configuration ({own_hash[:12]})"
+    return Check("folder", name, "ok", found, values={"configuration_hash": own_hash})
 
 
 def _catalogue(folder: Path) -> list[Check]:
@@ -182,22 +170,13 @@ def _stored(folder: Path) -> list[Check]:
         return []  # not started, or an earlier version's: `_owner` reports that
     except (StorageError, OSError) as error:
         return [_failed(name, str(error), "solimon verify says more")]
+    values = {"lost_sets": len(lost)}
     if not lost:
-        return [
-            Check(area="folder", name=name, found="every set that has rows is there", values={"lost_sets": 0})
-        ]
+        return [Check("folder", name, "ok", "every set that has rows is there", values=values)]
     sentences = "; ".join(f"{file} {reason}" for file, reason in list(lost.items())[:SHOWN])
     rest = f"; and {len(lost) - SHOWN} more" if len(lost) > SHOWN else ""
-    return [
-        Check(
-            area="folder",
-            name=name,
-            state="fail",
-            found=f"{sentences}{rest}",
-            remedy="bring them back with solimon repair --from BACKUP; solimon verify looks at everything",
-            values={"lost_sets": len(lost)},
-        )
-    ]
+    remedy = "bring them back with solimon repair --from BACKUP; solimon verify looks at everything"
+    return [Check("folder", name, "fail", f"{sentences}{rest}", remedy, values)]
 
 
 def _space(settings: Settings, folder: Path) -> Check:
@@ -208,11 +187,11 @@ def _space(settings: Settings, folder: Path) -> Check:
     level = disk_space(folder, settings.storage).level
     enough = free >= needed and level != "stop"
     return Check(
-        area="folder",
-        name="disk: space",
-        state="fail" if not enough else "ok" if free >= COMFORTABLE * needed and level == "ample" else "warn",
-        found=f"{free / 1e9:.2f} GB free, about {needed / 1e9:.2f} GB still to come "
+        "folder",
+        "disk: space",
+        "fail" if not enough else "ok" if free >= COMFORTABLE * needed and level == "ample" else "warn",
+        f"{free / 1e9:.2f} GB free, about {needed / 1e9:.2f} GB still to come "
         f"({facts['sets']} sets planned, {stored / 1e9:.2f} GB stored)",
-        remedy="free space, or choose a larger disk with --data-dir",
-        values={"free_bytes": free, "needed_bytes": needed, "stored_bytes": stored, "level": level},
+        "free space, or choose a larger disk with --data-dir",
+        {"free_bytes": free, "needed_bytes": needed, "stored_bytes": stored, "level": level},
     )

@@ -185,14 +185,12 @@ def _wired_only(boards: DaqmxParameters, position: str) -> DaqmxParameters:
 
 def _missed(missed: MissedShot) -> Check:
     """Return the check of a strike without a record."""
+    found = f"no record ({missed.reason}): {missed.cause}"
+    remedy = (
+        "see whether the striker lifts and falls, then the sensor's cable, trigger_level_v and trigger_slope"
+    )
     return Check(
-        area="rig",
-        name=f"strike {missed.key.position}: record",
-        state="fail",
-        found=f"no record ({missed.reason}): {missed.cause}",
-        remedy="see whether the striker lifts and falls, then the sensor's cable, trigger_level_v and "
-        "trigger_slope",
-        values={"reason": missed.reason},
+        "rig", f"strike {missed.key.position}: record", "fail", found, remedy, {"reason": missed.reason}
     )
 
 
@@ -205,14 +203,14 @@ def _record(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
         incident = f"incident wave {features.isw_amplitude_v:.3g} V ({filled:.0%} of the range), "
     reflected = f"reflected {features.psw_amplitude_v:.3g} V after {features.tof_pp_s * 1e6:.1f} us, "
     return Check(
-        area="rig",
-        name=f"strike {shot.key.position}: record",
-        state="warn" if flags else "ok",
-        found=f"{features.quality}, flags: {', '.join(flags) or 'none'}; {incident}"
+        "rig",
+        f"strike {shot.key.position}: record",
+        "warn" if flags else "ok",
+        f"{features.quality}, flags: {', '.join(flags) or 'none'}; {incident}"
         f"{'' if math.isnan(features.psw_amplitude_v) else reflected}noise {features.noise_rms_v:.2g} V rms; "
         f"in {took_s:.1f} s",
-        remedy="; ".join(REMEDIES.get(flag, "see docs/explanation/detection.md") for flag in flags),
-        values={"flags": ",".join(flags), "quality": features.quality},
+        "; ".join(REMEDIES.get(flag, "see docs/explanation/detection.md") for flag in flags),
+        {"flags": ",".join(flags), "quality": features.quality},
     )
 
 
@@ -226,26 +224,16 @@ def _level(settings: Settings, shot: Shot, features: ShotFeatures, spike: SpikeS
     incident_v = features.isw_amplitude_v
     if (math.isnan(incident_v) or not features.valid) and spike is not None and spike.wave_v is not None:
         incident_v = abs(spike.wave_v)
-    if math.isnan(incident_v) or math.isnan(level_v):
-        return Check(
-            area="rig",
-            name=name,
-            state="skipped",
-            found=f"{level_v:g} V; there is no incident wave to compare it with"
-            if math.isnan(incident_v)
-            else "the instrument does not say at what level it triggered",
-            remedy="mend what is said of the record, then strike again"
-            if math.isnan(incident_v)
-            else f"see that it is a tenth of the incident wave, {0.1 * incident_v:.2g} V",
-            values={"trigger_level_v": level_v},
-        )
+    values = {"trigger_level_v": level_v}
+    if math.isnan(incident_v):
+        found = f"{level_v:g} V; there is no incident wave to compare it with"
+        return Check("rig", name, "skipped", found, "fix what the record lacks, then strike again", values)
+    proposal = f"a tenth of the incident wave, {0.1 * incident_v:.2g} V"
+    if math.isnan(level_v):
+        found = "the instrument does not report at what level it triggered"
+        return Check("rig", name, "skipped", found, f"see that it is {proposal}", values)
     part = abs(level_v) / incident_v
     fits = FITTING_LEVEL[0] <= part <= FITTING_LEVEL[1]
-    return Check(
-        area="rig",
-        name=name,
-        state="ok" if fits else "warn",
-        found=f"{level_v:g} V is {part:.0%} of the incident wave",
-        remedy=f"set trigger_level_v to a tenth of the incident wave, {0.1 * incident_v:.2g} V",
-        values={"trigger_level_v": level_v, "isw_amplitude_v": incident_v},
-    )
+    found, remedy = f"{level_v:g} V is {part:.0%} of the incident wave", f"set trigger_level_v to {proposal}"
+    values |= {"isw_amplitude_v": incident_v}
+    return Check("rig", name, "ok" if fits else "warn", found, remedy, values)

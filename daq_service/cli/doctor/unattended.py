@@ -7,7 +7,7 @@ import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path, PureWindowsPath
 
-from daq_service.cli.doctor.check import Check, State
+from daq_service.cli.doctor.check import Check
 
 LONGEST_ANSWER_S = 10.0
 """Timeout for programs of the system."""
@@ -57,8 +57,7 @@ def unattended_checks(folder: Path, ask: Ask, system: str) -> list[Check]:
 
 def _check(name: str, good: bool | None, found: str, remedy: str, **values: str | bool | None) -> Check:
     """Return a check of the computer."""
-    state: State = "ok" if good else "warn"
-    return Check(area="machine", name=name, state=state, found=found, remedy=remedy, values=values)
+    return Check("machine", name, "ok" if good else "warn", found, remedy, values)
 
 
 # Sleep ----------------------------------------------------------------------------------------------

@@ -1,23 +1,108 @@
-"""All commands of ``solimon``: section, name and summary, read from ``commands.toml``."""
+"""All commands of ``solimon``, read from ``commands.toml``; a function is imported when its command runs."""
 
 from __future__ import annotations
 
+import math
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
+from importlib import import_module
 from pathlib import Path
+from typing import Any
 
-SECTIONS: Mapping[str, Mapping[str, str]] = tomllib.loads(
+import click
+
+from daq_service.errors import EXIT_OK
+
+Table = Mapping[str, Any]
+"""A table of ``commands.toml``."""
+
+_SECTIONS: dict[str, dict[str, Table]] = tomllib.loads(
     Path(__file__).with_name("commands.toml").read_text(encoding="utf-8")
 )
+_SHARED = _SECTIONS.pop("shared")
+SECTIONS: Mapping[str, Mapping[str, str]] = {
+    section: {name: command["summary"] for name, command in commands.items()}
+    for section, commands in _SECTIONS.items()
+}
 """Summaries by section and command, in the order of ``solimon --help``."""
 
 
-def section_of(name: str) -> str | None:
-    """Return the section of a command; None if there is no such command."""
-    return next((section for section, commands in SECTIONS.items() if name in commands), None)
+class _Positive(click.FloatRange):
+    """Positive finite number: a range alone accepts infinity and NaN."""
+
+    def convert(self, value: float, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        number = super().convert(value, param, ctx)
+        if not math.isfinite(number):
+            self.fail(f"{value} is no finite number.", param, ctx)
+        return number
 
 
-def summary(name: str) -> str:
-    """Return the summary of a command."""
-    (text,) = (commands[name] for commands in SECTIONS.values() if name in commands)
-    return text
+_TYPES: Mapping[str, click.ParamType[Any]] = {
+    "path": click.Path(path_type=Path),
+    "existing": click.Path(exists=True, path_type=Path),
+    "file": click.Path(dir_okay=False, path_type=Path),
+    "folder": click.Path(file_okay=False, path_type=Path),
+    "port": click.IntRange(0, 65535),
+    "number": click.FLOAT,
+    "positive": _Positive(min=0.0, min_open=True),
+    "fraction": click.FloatRange(0.0, 1.0, min_open=True, max_open=True),
+}
+
+
+def find_command(name: str) -> click.Command | None:
+    """Build a command with its options; None if there is no such command."""
+    table = next((commands[name] for commands in _SECTIONS.values() if name in commands), None)
+    return None if table is None else _command(name, table)
+
+
+def call(target: str, starting: str = "", **options: Any) -> int:
+    """Import the function ``MODULE:NAME`` of the command line and return its exit code.
+
+    Parameters
+    ----------
+    starting
+        Line that is printed before the import: on a cold machine that takes seconds.
+    """
+    if starting:
+        from daq_service.processes.printing import print_line
+
+        print_line(starting)
+    module, _, function = target.partition(":")
+    return getattr(import_module(f"daq_service.cli.{module}"), function)(**options) or EXIT_OK
+
+
+def _command(name: str, table: Table) -> click.Command:
+    text = f"{table['summary']}\n\n{table.get('details', '')}"
+    if "commands" in table:
+        return click.Group(name, [_command(*item) for item in table["commands"].items()], help=text)
+    callback = partial(call, table["target"], table.get("starting", ""), **table.get("fixed", {}))
+    return click.Command(name, callback=callback, params=list(_parameters(table["options"])), help=text)
+
+
+def _parameters(options: Sequence[str | Table]) -> Iterator[click.Parameter]:
+    for option in options:
+        if isinstance(option, str):
+            shared: Table | Sequence[str] = _SHARED[option]
+            yield from _parameters([shared] if isinstance(shared, Mapping) else shared)
+        else:
+            yield _parameter(**option)
+
+
+def _parameter(
+    *,
+    option: str = "",
+    argument: str = "",
+    type: str = "",  # noqa: A002 - a key of the file
+    choices: Sequence[str] = (),
+    range: Table | None = None,  # noqa: A002 - a key of the file
+    **attributes: Any,
+) -> click.Parameter:
+    kind = click.Choice(choices) if choices else _TYPES.get(type)
+    if range is not None:
+        kind = (click.IntRange if isinstance(range["min"], int) else click.FloatRange)(**range)
+    if argument:
+        return click.Argument([argument], type=kind, **attributes)
+    if "/" in option:  # neither of the two spellings means none of them
+        attributes["default"] = None
+    return click.Option(option.split(), type=kind, **attributes)

@@ -210,9 +210,7 @@ def _copy_sets(
         checked = check_file(source, sha256=expected_sha256(catalogue.of_set("sets", set_key), file))
         if checked.touched or checked.damages:
             description = f"{checked.damages[0] if checked.damages else 'its SHA-256 differs'}; {BACK}"
-            copied.damage.append(
-                Finding(kind="set_unreadable", file=file, shot_id=None, description=description)
-            )
+            copied.damage.append(Finding("set_unreadable", file, description))
             target = destination / QUARANTINE_FOLDER / target.name
             target.parent.mkdir(exist_ok=True)
         if checked.n_bytes:  # else nothing of it can be read
@@ -231,7 +229,7 @@ def _lost(folder: Path, destination: Path, catalogue: UnchangedCatalogue, copied
     journal = read_journal(destination) if missing else {}
     journaled = {item.reference for item in journal.values()}
     return [
-        Finding(kind="set_missing", file=file, shot_id=None, description=f"{NOWHERE}; {BACK}")
+        Finding("set_missing", file, f"{NOWHERE}; {BACK}")
         for file in missing
         # A set may have left the journal for a file between the two looks.
         if file not in journaled and not (folder / file).exists()

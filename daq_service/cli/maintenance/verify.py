@@ -73,7 +73,7 @@ LOGS = {
 """By the kind of damage: a file of numbered lines, and what to do about one that is damaged."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Finding:
     """One corruption.
 
@@ -83,16 +83,16 @@ class Finding:
         One of `KINDS`.
     file
         Relative to the data folder.
-    shot_id
-        `shots.sequence`; None where it is no shot's.
     description
         What was found and what helps.
+    shot_id
+        `shots.sequence`; None where it is no shot's.
     """
 
     kind: str
     file: str
-    shot_id: int | None
     description: str
+    shot_id: int | None = None
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -126,24 +126,19 @@ class FolderCheck:
 def check_catalogue(state: FolderCheck) -> Iterator[Finding]:
     """Check pages, indices and foreign keys, and find shots without a set."""
     if state.catalogue is None:
-        yield Finding(
-            kind="catalogue",
-            file=FILE_NAME,
-            shot_id=None,
-            description=f"it is not there; {MADE_AGAIN} in its place",
-        )
+        yield Finding("catalogue", FILE_NAME, f"it is not there; {MADE_AGAIN} in its place")
         return
     for damage in state.catalogue.troubles():
         if damage.table is None or damage.row_id is None:
             state.unreadable.add(damage.description)
         else:
             shot_id = damage.row_id if damage.table == "shots" else None
-            yield Finding(kind="row", file=FILE_NAME, shot_id=shot_id, description=f"{damage}; {MADE_AGAIN}")
+            yield Finding("row", FILE_NAME, f"{damage}; {MADE_AGAIN}", shot_id)
     try:
         state.checked["rows"] = state.catalogue.n_rows()
         for sequence in state.catalogue.strays():
             description = f"shots, sequence {sequence}: its set has no row; {MADE_AGAIN}"
-            yield Finding(kind="row", file=FILE_NAME, shot_id=sequence, description=description)
+            yield Finding("row", FILE_NAME, description, sequence)
     except CatalogueDamagedError as error:
         state.unreadable.add(str(error))
 
@@ -153,36 +148,33 @@ def check_experiment(state: FolderCheck) -> Iterator[Finding]:
     try:
         stored = read_experiment(state.folder)
     except CatalogueError as error:
-        yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, description=str(error))
+        yield Finding("experiment", EXPERIMENT_FILE, str(error))
     else:
         if stored is not None and state.experiment is not None:
-            catalogue_values = {
-                name: state.experiment[name] for name in ("configuration_hash", "epoch_utc_ns")
-            }
-            file_values = {name: getattr(stored, name) for name in catalogue_values}
-            if catalogue_values != file_values:
-                values = f"it tells of {file_values}, the catalogue of {catalogue_values}"
-                description = f"{values}: one is foreign or damaged; {BACK}"
-                yield Finding(kind="experiment", file=EXPERIMENT_FILE, shot_id=None, description=description)
+            in_file = {"configuration_hash": stored.configuration_hash, "epoch_utc_ns": stored.epoch_utc_ns}
+            in_catalogue = {name: state.experiment[name] for name in in_file}
+            if in_file != in_catalogue:
+                values = f"it is of {in_file}, the catalogue of {in_catalogue}"
+                description = f"{values}: one is foreign or corrupt; {BACK}"
+                yield Finding("experiment", EXPERIMENT_FILE, description)
     running = is_owned(state.folder) is not False
     try:
         history = read_history(state.folder)
     except OSError as error:
-        yield Finding(
-            kind="history", file=HISTORY_FILE, shot_id=None, description=f"it cannot be read: {error}"
-        )
+        yield Finding("history", HISTORY_FILE, f"it cannot be read: {error}")
         return
     state.checked["lines_of_history"] = history.last_number
     last_id = max(history.events, default=0)
     if last_id and state.catalogue is not None and not state.catalogue.has_event(history.events[last_id]):
         # A recorder, too, appends to the history what the catalogue has.
-        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, description=lost_rows(last_id))
+        yield Finding("catalogue", FILE_NAME, lost_rows(last_id))
     # A folder from before there was either gets them with its next start.
     older = history.last_number == 0 and not (state.folder / EXPERIMENT_FILE).exists()
     cut_off = [] if older else _lines_cut_off(state, last_id, running=running)
     for line in [*history.damage, *cut_off]:
-        description = f"{line}; the catalogue has it still: back it up, and keep both"
-        yield Finding(kind="history", file=HISTORY_FILE, shot_id=None, description=description)
+        yield Finding(
+            "history", HISTORY_FILE, f"{line}; the catalogue has it still: back it up, and keep both"
+        )
 
 
 def _lines_cut_off(state: FolderCheck, last_id: int, *, running: bool) -> Iterator[str]:
@@ -214,22 +206,19 @@ def check_logs(state: FolderCheck) -> Iterator[Finding]:
         except OSError as error:
             damage = [f"{file} cannot be read: {error}"]
         for line in damage:
-            yield Finding(kind=kind, file=file, shot_id=None, description=f"{line}; {remedy}")
+            yield Finding(kind, file, f"{line}; {remedy}")
 
 
 def check_frames(state: FolderCheck) -> Iterator[Finding]:
     """Check every frame of the journal twice, since a frame may be incomplete while it is written."""
     first = check_journal(state.folder)
     state.journal = check_journal(state.folder) if first.damages else first
-    state.checked["frames"], state.checked["bytes"] = (
-        state.journal.n_frames,
-        state.journal.n_bytes,
-    )
+    state.checked |= {"frames": state.journal.n_frames, "bytes": state.journal.n_bytes}
     before = {(file, str(damage)) for file, damage in first.damages}
     for file, damage in state.journal.damages:
         if (file, str(damage)) in before:
             remedy = "the others of its set are safe; the damaged one is lost but for a backup's"
-            yield Finding(kind="frame", file=file, shot_id=damage.sequence, description=f"{damage}; {remedy}")
+            yield Finding("frame", file, f"{damage}; {remedy}", damage.sequence)
 
 
 def check_sets(state: FolderCheck) -> Iterator[Finding]:
@@ -262,10 +251,10 @@ def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) ->
     state.checked["bytes"] += found.n_bytes
     if found.touched:
         description = f"its SHA-256 is not that of the file that was written; {BACK}"
-        yield Finding(kind="set_touched", file=reference, shot_id=None, description=description)
+        yield Finding("set_touched", reference, description)
     for damage in found.damages:
         kind = "set_unreadable" if found.record is None else "metadata" if damage.sequence is None else "shot"
-        yield Finding(kind=kind, file=reference, shot_id=damage.sequence, description=f"{damage}; {BACK}")
+        yield Finding(kind, reference, f"{damage}; {BACK}", damage.sequence)
     if found.record is not None:
         state.checked["shots"] += len(found.record.records)
         lost = frozenset(damage.sequence for damage in found.damages if damage.sequence is not None)
@@ -301,7 +290,7 @@ def _compare(
         description = (
             f"it holds set {record.set_key} of {format_utc(record.due_utc_ns)}: somebody gave it this name"
         )
-        yield Finding(kind="metadata", file=reference, shot_id=None, description=f"{description}; {BACK}")
+        yield Finding("metadata", reference, f"{description}; {BACK}")
         return
     if rows is None or state.experiment is None:
         return
@@ -309,30 +298,21 @@ def _compare(
     catalogue_hash = state.experiment["configuration_hash"]
     if file_hash is not None and file_hash != catalogue_hash:
         hashes = f"its configuration is {file_hash}, the catalogue's {catalogue_hash}"
-        description = f"{hashes}: one of the two is foreign or damaged"
-        yield Finding(
-            kind="metadata",
-            file=reference,
-            shot_id=None,
-            description=f"{description}; move it out, or {BACK}",
-        )
+        description = f"{hashes}: one of the two is foreign or damaged; move it out, or {BACK}"
+        yield Finding("metadata", reference, description)
         return
-    hour_0 = record.due_utc_ns - round(record.due_h * NS_PER_H)
-    if hour_0 != state.experiment["epoch_utc_ns"]:
-        description = (
-            f"experiment: hour 0 is {state.experiment['epoch_utc_ns']}, by {reference} it is {hour_0} ns"
-        )
-        yield Finding(kind="row", file=FILE_NAME, shot_id=None, description=f"{description}; {MADE_AGAIN}")
+    hour_0, epoch_ns = record.due_utc_ns - round(record.due_h * NS_PER_H), state.experiment["epoch_utc_ns"]
+    if hour_0 != epoch_ns:
+        description = f"experiment: hour 0 is {epoch_ns}, by {reference} it is {hour_0} ns"
+        yield Finding("row", FILE_NAME, f"{description}; {MADE_AGAIN}")
     if rows.sets:
         for shot_id, description in differing(rows, record, reference, lost):
-            yield Finding(
-                kind="row", file=FILE_NAME, shot_id=shot_id, description=f"{description}; {MADE_AGAIN}"
-            )
+            yield Finding("row", FILE_NAME, f"{description}; {MADE_AGAIN}", shot_id)
     elif record.set_index < max((key.set_index for key in state.sets_with_rows), default=0):
         description = (
             f"it has no rows, though later sets have: the recorder's next start makes them, or {MADE_AGAIN}"
         )
-        yield Finding(kind="file_without_rows", file=reference, shot_id=None, description=description)
+        yield Finding("file_without_rows", reference, description)
     else:
         state.checked["sets_without_rows"] += 1
 
@@ -346,11 +326,9 @@ def check_references(state: FolderCheck) -> Iterator[Finding]:
         journaled = state.journal.sets.get(set_key)
         for file in sorted(files):
             if not (state.folder / file).exists() and (journaled is None or journaled.reference != file):
-                description = f"{NOWHERE}; {BACK}"
-                yield Finding(kind="set_missing", file=file, shot_id=None, description=description)
+                yield Finding("set_missing", file, f"{NOWHERE}; {BACK}")
     for description in sorted(state.unreadable):
-        remedy = f"bring it back from a backup, or {MADE_AGAIN}"
-        yield Finding(kind="catalogue", file=FILE_NAME, shot_id=None, description=f"{description}; {remedy}")
+        yield Finding("catalogue", FILE_NAME, f"{description}; bring it back from a backup, or {MADE_AGAIN}")
 
 
 CHECKS: tuple[Callable[[FolderCheck], Iterator[Finding]], ...] = (

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import numpy as np
 
@@ -61,7 +61,7 @@ class Bench:
     grpc_address: str = ""
     drop_height_m: float = 5e-3
     pulse_s: float = 0.1
-    chosen: Mapping[str, Any] = field(default_factory=dict)
+    chosen: Proposal | None = None
     transducers: dict[str, TransducerWiring] = field(default_factory=dict)
     position: str | None = None
     strikes: int = 0
@@ -99,8 +99,8 @@ class Bench:
 
     def look(self, position: str) -> Waveform:
         """Record an input at rest."""
-        self.quiet[position] = self._on_boards(position, lambda free: free.quiet())
-        return self.quiet[position]
+        self.quiet[position] = record = self._on_boards(position, lambda free: free.quiet())
+        return record
 
     def watch(self) -> tuple[str | None, Waveform | None]:
         """Record at rest for the page; the stored records do not change.
@@ -149,26 +149,22 @@ class Bench:
         RecordError
             A record ends before a wave could have come.
         """
+        if not self.struck:
+            return None
         known = {
             name: StruckTransducer(
-                noise=self.quiet[name],
-                strike=strike,
-                ranges_v=self.ranges_v(self.transducers[name]),
+                noise=self.quiet[name], strike=strike, ranges_v=self.ranges_v(self.transducers[name])
             )
             for name, strike in self.struck.items()
         }
-        return (
-            propose_settings(known, pulse_s=self.pulse_s, fall_s=fall_s(self.drop_height_m))
-            if known
-            else None
-        )
+        return propose_settings(known, pulse_s=self.pulse_s, fall_s=fall_s(self.drop_height_m))
 
-    def newest(self) -> dict[str, Any]:
+    def newest(self) -> dict[str, object]:
         """Return the newest strike, and the shot in it that the proposal would record."""
         position, strike = self.position, self.struck.get(self.position or "")
         if position is None or strike is None:
             return {"strike": None, "shot": None}
-        answer: dict[str, Any] = {"strike": envelope(strike), "shot": None, "off_s": self.pulse_s}
+        answer: dict[str, object] = {"strike": envelope(strike), "shot": None, "off_s": self.pulse_s}
         try:
             proposal = self.proposal()
         except AnalysisError as error:
@@ -203,12 +199,19 @@ class Bench:
         )
         usual = DaqmxParameters(transducers={"": TransducerWiring(board_serial="0")})
         after = round((usual.record_samples - usual.pretrigger_samples) / PAPER_RATE_HZ * rate_hz)
-        values: dict[str, Any] = {"pretrigger_s": usual.pretrigger_samples / PAPER_RATE_HZ}
-        if position is None:
-            values |= self.chosen or self._not_struck(values["pretrigger_s"])
-        pretrigger = round(values.pop("pretrigger_s") * rate_hz)
-        smallest_v = min(wiring.range_v for wiring in wirings.values())
-        values.setdefault("trigger_level_v", min(usual.trigger_level_v, 0.5 * smallest_v))
+        pretrigger_s = usual.pretrigger_samples / PAPER_RATE_HZ
+        level_v = min(usual.trigger_level_v, 0.5 * min(wiring.range_v for wiring in wirings.values()))
+        slope, holdoff_s, ringing_s = usual.trigger_slope, usual.holdoff_s, usual.ringing_s
+        if position is None and self.chosen is not None:
+            chosen = self.chosen
+            pretrigger_s, level_v = chosen.pretrigger_s, chosen.trigger_level_v or level_v
+            slope = "rising" if chosen.rising else "falling"
+            # One holdoff for all: none where one of them cannot have it.
+            holdoff_s, ringing_s = (chosen.holdoff_s, chosen.ringing_s) if self.holds_off else (None, 0.0)
+        elif position is None and self.holds_off:
+            # Nothing was struck: the holdoff of a coil that does not ring.
+            holdoff_s = round(HOLDOFF_PART * (fall_s(self.drop_height_m) - pretrigger_s), HOLDOFF_DIGITS)
+        pretrigger = round(pretrigger_s * rate_hz)
         return DaqmxParameters(
             transducers=wirings,
             transport=self.transport,
@@ -218,16 +221,11 @@ class Bench:
             pretrigger_samples=pretrigger,
             pulse_s=self.pulse_s,
             drop_height_m=self.drop_height_m,
-            **values,
+            trigger_level_v=level_v,
+            trigger_slope=slope,
+            holdoff_s=holdoff_s,
+            ringing_s=ringing_s,
         )
-
-    def _not_struck(self, pretrigger_s: float) -> dict[str, float]:
-        """Return the holdoff for a coil that does not ring, if the boards support it."""
-        if not self.holds_off:
-            return {}
-        return {
-            "holdoff_s": round(HOLDOFF_PART * (fall_s(self.drop_height_m) - pretrigger_s), HOLDOFF_DIGITS)
-        }
 
     def choose(self, proposal: Proposal) -> None:
         """Accept a proposal, as it is or as a person changed it.
@@ -240,21 +238,14 @@ class Bench:
         before = dict(self.transducers), self.chosen
         for name, range_v in proposal.range_v.items():
             self.transducers[name] = replace(self.transducers[name], range_v=range_v)
-        self.chosen = {
-            "trigger_level_v": proposal.trigger_level_v,
-            "trigger_slope": "rising" if proposal.rising else "falling",
-            "pretrigger_s": proposal.pretrigger_s,
-            # One holdoff for all: none where one of them cannot have it.
-            "holdoff_s": proposal.holdoff_s if self.holds_off else None,
-            "ringing_s": proposal.ringing_s if self.holds_off else 0.0,
-        }
+        self.chosen = proposal
         try:
             self.parameters()
         except ValueError:
             self.transducers, self.chosen = before
             raise
 
-    def table(self) -> dict[str, Any]:
+    def table(self) -> dict[str, object]:
         """Return [rig.daqmx] as a file has it."""
         return {name: value for name, value in asdict(self.parameters()).items() if value is not None}
 

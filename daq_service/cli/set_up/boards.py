@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
 
 from daq_service.cli.doctor.spike import edge_in_words
 from daq_service.cli.set_up.bench import Bench, rms_v
 from daq_service.cli.set_up.dialogue import Dialogue, Question
 from daq_service.cli.set_up.init import head_of, laboratory
-from daq_service.cli.set_up.transducers import Flags, positions_table
+from daq_service.cli.set_up.transducers import Contents, Flags, positions_table
 from daq_service.cli.set_up.values import REMEDIES, assess_strikes
 from daq_service.cli.set_up.wiring import coil_counters, home_terminal, inputs_of, wiring_of
 from daq_service.errors import UsageError
-from daq_service.settings.stored import KeyPath
+from daq_service.settings.stored import KeyPath, Tables
 from hardware_drivers.daqmx.parameters import TransducerWiring
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
@@ -38,11 +37,12 @@ class Boards:
             ("drop_height_m", "Height from which the strikers fall, m", (0.0, 1.0)),
             ("pulse_s", "Time a coil is on, s (it lifts the striker)", (1e-3, 0.5)),
         ):
-            value = getattr(flags, name) or getattr(self.bench, name)
-            if asks and not getattr(flags, name):
-                question = Question(name=name, text=text, default=f"{value:g}")
+            value = getattr(flags, name)
+            if asks and not value:
+                question = Question(name=name, text=text, default=f"{getattr(self.bench, name):g}")
                 value = self.dialogue.ask(question, _number_within(*bounds))
-            setattr(self.bench, name, value)
+            if value:
+                setattr(self.bench, name, value)
 
     def wire(self, position: str, text: str) -> None:
         """Wire a transducer as ``BOARD/INPUT/COUNTER`` and print its input at rest."""
@@ -121,9 +121,7 @@ class Boards:
         """Present the values that the strikes propose."""
         assess_strikes(self.dialogue, self.bench, asks=asks)
 
-    def contents(
-        self, others: Mapping[str, Any], off: set[KeyPath]
-    ) -> tuple[dict[str, Any], set[KeyPath], str]:
+    def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return values, switched-off tables and head of the file."""
         values, _ = laboratory()
         methods = dict.fromkeys(others.get("niscope", {}).get("probes", {}), PULSE_ECHO)
@@ -136,7 +134,7 @@ class Boards:
         head = head_of(boards, self.bench.struck if self.bench.chosen else ())
         return values, {*off, ("rig", "daqmx", "watchdog")}, head
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Mapping[str, object]:
         """Return the boards, their wiring and the proposal for ``--json``."""
         proposal = self.bench.proposal()
         return {

@@ -6,8 +6,8 @@ import queue
 import sys
 import threading
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import Any, Literal, TypeVar
+from dataclasses import asdict, dataclass, field
+from typing import Literal, TextIO, TypeVar
 
 import click
 
@@ -122,19 +122,11 @@ class Dialogue:
         self._answers.put(_Answer(text, number, "page"))
         return True
 
-    def as_row(self) -> Mapping[str, Any]:
+    def as_row(self) -> Mapping[str, object]:
         """Return the state for the page."""
         with self._lock:
             waiting, number = self._waiting, self.number
-        question = None
-        if waiting is not None:
-            question = {
-                "number": number,
-                "name": waiting.name,
-                "text": waiting.text,
-                "default": waiting.default,
-                "choices": list(waiting.choices),
-            }
+        question = None if waiting is None else {"number": number, **asdict(waiting)}
         return {"question": question, "lines": self.lines}
 
     def _next(self, question: Question) -> str:
@@ -162,7 +154,7 @@ class Dialogue:
             self._reads = True
             threading.Thread(target=self._lines_of, args=(sys.stdin,), name="terminal", daemon=True).start()
 
-    def _lines_of(self, stream: Any) -> None:
+    def _lines_of(self, stream: TextIO) -> None:
         """Put the lines of a stream into the queue of answers."""
         typed = stream.isatty()
         for line in stream:

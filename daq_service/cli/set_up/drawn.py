@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from analysis.waves.features import ShotFeatures
@@ -13,7 +11,7 @@ COLUMNS = 1000
 """Columns that a record is drawn in: each from its lowest to its highest sample."""
 
 
-def envelope(record: Waveform, first_s: float = 0.0) -> dict[str, Any]:
+def envelope(record: Waveform, first_s: float = 0.0) -> dict[str, object]:
     """Return the lowest and highest voltage of each of `COLUMNS` sections of a record.
 
     Parameters
@@ -33,7 +31,7 @@ def envelope(record: Waveform, first_s: float = 0.0) -> dict[str, Any]:
     }
 
 
-def shot_drawn(shot: Waveform, features: ShotFeatures, *, rising: bool = True) -> dict[str, Any]:
+def shot_drawn(shot: Waveform, features: ShotFeatures, *, rising: bool = True) -> dict[str, object]:
     """Return a shot with marks of its waves and its flags."""
     sign = 1.0 if rising else -1.0
     marks = {

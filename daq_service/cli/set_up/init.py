@@ -5,11 +5,10 @@ from __future__ import annotations
 import difflib
 import json
 import tomllib
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Any
 
 import tomlkit
 from pydantic import ValidationError
@@ -22,7 +21,7 @@ from daq_service.processes.printing import print_result
 from daq_service.settings.commented import commented_toml, switched_on
 from daq_service.settings.file import checked_settings, config_file, placeholders
 from daq_service.settings.schema import settings_schema
-from daq_service.settings.stored import KeyPath, flattened, nested, stored_settings
+from daq_service.settings.stored import KeyPath, Tables, flattened, nested, stored_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.playback.parameters import TdmsMapping
 
@@ -102,7 +101,7 @@ def schema_text() -> str:
 # What is written -------------------------------------------------------------------------------------
 
 
-def laboratory() -> tuple[dict[str, Any], set[KeyPath]]:
+def laboratory() -> tuple[Tables, set[KeyPath]]:
     """Read the values of the shipped laboratory.toml, and the tables that it switches off."""
     text = config_file("laboratory.toml").read_text(encoding="utf-8")
     values, active = tomllib.loads(switched_on(text)), flattened(tomllib.loads(text))
@@ -110,16 +109,16 @@ def laboratory() -> tuple[dict[str, Any], set[KeyPath]]:
     return values, {table for table in tables if not any(_is_in(key, [table]) for key in active)}
 
 
-def _twin() -> dict[str, Any]:
+def _twin() -> Tables:
     """Read the values of the shipped configuration of the twin."""
     return tomllib.loads(config_file("simulated.toml").read_text(encoding="utf-8"))
 
 
-def _playback(source: Path) -> dict[str, Any]:
+def _playback(source: Path) -> Tables:
     """Return the configuration of a recorded test, or that of the paper for other files."""
     if not source.exists():
         raise UsageError(f"{source} is not there; give the folder or file of the recording")
-    playback: dict[str, Any] = {"source": str(source.absolute()), "format": "archive"}
+    playback: Tables = {"source": str(source.absolute()), "format": "archive"}
     experiment = read_experiment(source) if source.is_dir() else None
     values = _twin()
     if experiment is not None:
@@ -142,7 +141,7 @@ def _playback(source: Path) -> dict[str, Any]:
     return {**values, "rig": {"kind": "playback", "playback": playback}}
 
 
-def _assigned(values: Mapping[str, Any], assignments: Sequence[str]) -> dict[str, Any]:
+def _assigned(values: Tables, assignments: Sequence[str]) -> Tables:
     """Replace values by ``KEY=VALUE``; a ``*`` in a key matches any part."""
     keys = {".".join(path): path for path in flattened(values)}
     filled = flattened(values)
@@ -156,7 +155,7 @@ def _assigned(values: Mapping[str, Any], assignments: Sequence[str]) -> dict[str
     return nested(filled)
 
 
-def _read(text: str, *, like: Any) -> Any:
+def _read(text: str, *, like: object) -> object:
     """Parse a value of the type of another one."""
     if isinstance(like, str):
         return text
@@ -166,7 +165,7 @@ def _read(text: str, *, like: Any) -> Any:
         raise UsageError(f"--set: {text} is no TOML value: {error}; write one like {like}") from error
 
 
-def _table(values: Mapping[str, Any], name: str) -> KeyPath:
+def _table(values: Tables, name: str) -> KeyPath:
     """Return the path of a named table."""
     tables = {".".join(key[:depth]): key[:depth] for key in flattened(values) for depth in range(1, len(key))}
     if name not in tables:
@@ -180,7 +179,7 @@ def _no_such(name: str, known: Collection[str], option: str) -> UsageError:
     return UsageError(f"{option}: there is no {name!r} here" + (f"; did you mean {near[0]}?" if near else ""))
 
 
-def _without(values: Mapping[str, Any], off: Collection[KeyPath]) -> dict[str, Any]:
+def _without(values: Tables, off: Collection[KeyPath]) -> Tables:
     """Return the values without switched-off tables."""
     return nested({key: value for key, value in flattened(values).items() if not _is_in(key, off)})
 
@@ -218,19 +217,16 @@ def refuse_what_is_there(file: Path) -> Path:
     return schema
 
 
-def settings_of(values: Mapping[str, Any], off: Collection[KeyPath], file: Path) -> Settings:
+def settings_of(values: Tables, off: Collection[KeyPath], file: Path) -> Settings:
     """Return the settings of the new file; UsageError as for a file that is read."""
     return checked_settings(_without(values, off), file.absolute())
 
 
-def write_file(file: Path, values: Mapping[str, Any], *, head: str, off: Collection[KeyPath]) -> None:
+def write_file(file: Path, values: Tables, *, head: str, off: Collection[KeyPath]) -> None:
     """Write a commented configuration and its schema."""
-    _write(refuse_what_is_there(file), schema_text())
-    _write(file, commented_toml(values, head=head, switched_off=off))
-
-
-def _write(path: Path, text: str) -> None:
+    schema, text = refuse_what_is_there(file), commented_toml(values, head=head, switched_off=off)
     try:
-        path.write_text(text, encoding="utf-8", newline="\n")
+        schema.write_text(schema_text(), encoding="utf-8", newline="\n")
+        file.write_text(text, encoding="utf-8", newline="\n")
     except OSError as error:
-        raise UsageError(f"cannot write {path}: {error.strerror}; choose another place") from error
+        raise UsageError(f"cannot write {error.filename}: {error.strerror}; choose another place") from error

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import tomlkit
 from pydantic import TypeAdapter
@@ -19,10 +18,10 @@ from daq_service.cli.doctor.trial import Trial, strike_transducer
 from daq_service.cli.set_up.dialogue import Dialogue, Question
 from daq_service.cli.set_up.drawn import shot_drawn
 from daq_service.cli.set_up.init import head_of, laboratory, settings_of
-from daq_service.cli.set_up.transducers import Flags, positions_table
+from daq_service.cli.set_up.transducers import Contents, Flags, positions_table
 from daq_service.errors import BusyError, RigError, UsageError
 from daq_service.settings.instruments import configured, plain
-from daq_service.settings.stored import KeyPath
+from daq_service.settings.stored import KeyPath, Tables
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.kinds import Role
@@ -46,59 +45,115 @@ def other_kinds() -> dict[str, Offer]:
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
-class KindsBench:
-    """Instruments named by their kind; opened for one strike at a time.
+class Kinds:
+    """Instruments of installed kinds as the dialogue sets them up; opened for one strike at a time.
 
     Attributes
     ----------
     parameters
         Given keys by instrument.
-    served
+    wired
         Instrument of each role, by position.
     trials
         Newest strike by position.
     """
 
+    dialogue: Dialogue
     file: Path
     data_folder: Path
     offers: Mapping[str, Offer]
-    parameters: dict[str, dict[str, Any]] = field(default_factory=dict)
-    served: dict[str, dict[Role, str]] = field(default_factory=dict)
+    parameters: dict[str, Tables] = field(default_factory=dict)
+    wired: dict[str, dict[Role, str]] = field(default_factory=dict)
     position: str | None = None
     strikes: int = 0
     trials: dict[str, Trial] = field(default_factory=dict)
+
+    # For the page ------------------------------------------------------------------------------------
 
     def watch(self) -> tuple[str | None, Waveform | None]:
         """Return the position of the page; nothing is recorded between strikes."""
         return self.position, None
 
-    def newest(self) -> dict[str, Any]:
+    def newest(self) -> dict[str, object]:
         """Return the newest record of the page's position."""
-        answer: dict[str, Any] = {"strike": None, "shot": None}
         trial = self.trials.get(self.position or "")
         if trial is None or trial.record is None or trial.features is None:
-            return answer
+            return {"strike": None, "shot": None}
         level_v = trial.settings.get(LEVEL)
-        answer |= {"level_v": level_v if isinstance(level_v, float) else None}
-        return answer | shot_drawn(trial.record, trial.features)
+        return {
+            "strike": None,
+            "level_v": level_v if isinstance(level_v, float) else None,
+            **shot_drawn(trial.record, trial.features),
+        }
 
-    def able(self, role: Role) -> list[str]:
-        """Return the instruments that can take a role."""
-        return [name for name, offer in self.offers.items() if role in offer.roles]
+    # For the dialogue --------------------------------------------------------------------------------
 
-    def known(self, instrument: str) -> dict[str, Any]:
-        """Return the parameters of an instrument by name, as JSON Schema."""
-        kind, _ = find_kind(instrument)
-        adapter: TypeAdapter[Any] = TypeAdapter(kind.parameters)
-        properties: dict[str, Any] = adapter.json_schema().get("properties", {})
-        return properties
+    def introduce(self, flags: Flags, *, asks: bool) -> None:
+        """Print roles and parameters of each instrument."""
+        for name, offer in self.offers.items() if asks else ():
+            texts = [
+                f"{key} = {schema['default']}" if "default" in schema else f"{key} (needed)"
+                for key, schema in _known_parameters(name).items()
+            ]
+            self.dialogue.report(
+                f"{name}: {' and '.join(offer.roles)}; {', '.join(texts) or 'no parameters'}"
+            )
 
-    def given_in(self, text: str) -> str | None:
-        """Set a parameter as `give`; None for ``-``."""
-        if text == "-":
-            return None
-        self.give(text)
-        return text
+    def wire(self, position: str, text: str) -> None:
+        """Wire a transducer as ``DIGITIZER/STRIKER``."""
+        digitizer, slash, striker = text.partition("/")
+        self.wired[position] = {"digitizer": digitizer, "striker": striker if slash else digitizer}
+
+    def ask_wiring(self, position: str) -> None:
+        """Ask for the instruments of a transducer and for parameters."""
+        self.wired[position] = {role: self._ask_instrument(position, role) for role in ROLES_OF_A_TRANSDUCER}
+        self.position = position
+        self._ask_parameters()
+        self.check()
+
+    def check(self) -> None:
+        """Check every instrument that serves a position, and print the results; nothing strikes.
+
+        Raises
+        ------
+        UsageError
+            What is missing or wrong.
+        """
+        settings = self.settings()
+        self._print_checks(rig_checks(settings, configured(settings), set(), lambda what: None))
+
+    def strike(self, position: str) -> None:
+        """Strike once; print the checks and ask for changes."""
+        trial = self._strike(position)
+        self._propose_level(position, trial)
+        self._ask_parameters()
+
+    def strike_each(self, positions: Collection[str]) -> None:
+        """Strike each transducer once; RigError if one gives no waveform."""
+        for position in positions:
+            if self._strike(position).record is None:
+                raise RigError(f"{position} gave no record; fix what is reported above, then run it again")
+
+    def conclude(self, *, asks: bool) -> None:
+        """Do nothing: each strike was assessed by itself."""
+
+    def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
+        """Return values with all defaults, switched-off tables and head of the file."""
+        values = self._values(others)
+        for item in configured(settings_of(values, off, self.file)):
+            if item.name in self.offers:
+                filled = {key: value for key, value in plain(item).items() if value is not None}
+                values["rig"]["instruments"][item.name] |= filled
+        struck = [name for name, trial in self.trials.items() if trial.record is not None]
+        return values, off, head_of(self.offers, struck)
+
+    def result(self) -> Mapping[str, object]:
+        """Return the instruments, their roles and the strikes for ``--json``."""
+        return {
+            "instruments": {name: list(offer.distributions) for name, offer in self.offers.items()},
+            "transducers": self.wired,
+            "struck": [trial.as_row() for trial in self.trials.values()],
+        }
 
     def give(self, text: str) -> None:
         """Set a parameter ``INSTRUMENT.KEY=VALUE``; without VALUE it gets its default again.
@@ -116,7 +171,7 @@ class KindsBench:
             )
         if instrument not in self.offers:
             raise ValueError(f"there is no {instrument}; there are: {', '.join(self.offers)}")
-        if keys[0] not in (known := self.known(instrument)):
+        if keys[0] not in (known := _known_parameters(instrument)):
             raise ValueError(f"{instrument} has no {keys[0]}; it has: {', '.join(known) or 'no parameters'}")
         table = self.parameters[instrument]
         for key in keys[:-1]:
@@ -126,36 +181,24 @@ class KindsBench:
         else:
             table.pop(keys[-1], None)
 
-    def values(self, others: Mapping[str, Any]) -> dict[str, Any]:
+    def settings(self) -> Settings:
+        """Return the settings so far; UsageError describes what is missing or wrong."""
+        return settings_of(self._values({}), set(), self.file)
+
+    def _values(self, others: Tables) -> Tables:
         """Return the values of the new file; `others` are further tables of [rig]."""
         values, _ = laboratory()
         rig = {name: value for name, value in values["rig"].items() if not isinstance(value, Mapping)}
-        used = {name for roles in self.served.values() for name in roles.values()}
-        return {
-            **values,
-            "positions": positions_table(dict.fromkeys(self.served, SOLITARY_WAVE)),
-            "rig": {
-                **rig,
-                **others,
-                "kind": "mixed",
-                "instruments": {
-                    name: {"kind": name, **given} for name, given in self.parameters.items() if name in used
-                },
-                "positions": {name: dict(self.served[name]) for name in sorted(self.served)},
-            },
+        used = {name for roles in self.wired.values() for name in roles.values()}
+        instruments = {
+            name: {"kind": name, **given} for name, given in self.parameters.items() if name in used
         }
+        rig |= {**others, "kind": "mixed", "instruments": instruments}
+        rig["positions"] = {name: dict(self.wired[name]) for name in sorted(self.wired)}
+        return {**values, "positions": positions_table(dict.fromkeys(self.wired, SOLITARY_WAVE)), "rig": rig}
 
-    def settings(self) -> Settings:
-        """Return the settings so far; UsageError describes what is missing or wrong."""
-        return settings_of(self.values({}), set(), self.file)
-
-    def checks(self) -> list[Check]:
-        """Check every instrument that serves a position; nothing strikes."""
-        settings = self.settings()
-        return list(rig_checks(settings, configured(settings), set(), lambda what: None))
-
-    def strike(self, position: str, dialogue: Dialogue) -> Trial:
-        """Strike once like a normal shot, and keep the result.
+    def _strike(self, position: str) -> Trial:
+        """Strike once like a normal shot, keep the result and print its checks.
 
         Raises
         ------
@@ -165,14 +208,65 @@ class KindsBench:
         with held_folder(self.data_folder) as owner:
             if owner:
                 raise BusyError(f"a strike is refused: {owner}")
-            trial = strike_transducer(self.settings(), position, report=dialogue.report)
+            trial = strike_transducer(self.settings(), position, report=self.dialogue.report)
         self.position, self.trials[position] = position, trial
         self.strikes += 1
+        self._print_checks(trial.checks)
         return trial
 
+    def _ask_instrument(self, position: str, role: Role) -> str:
+        able = [name for name, offer in self.offers.items() if role in offer.roles]
+        if len(able) == 1:
+            self.dialogue.report(f"{position}      {role}: {able[0]}")
+            return able[0]
+        question = Question(
+            name=f"{position}.{role}", text=f"The {role} of {position}", default=able[0], choices=able
+        )
+        return self.dialogue.ask(question, str)
 
-def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path, folder: Path) -> KindsBench:
-    """Create a bench of the named kinds with given parameters.
+    def _ask_parameters(self) -> None:
+        """Ask for parameters until they are valid and no change is requested."""
+
+        def parse(text: str) -> bool:
+            if text != "-":
+                self.give(text)
+            return text == "-"
+
+        ends = good = False
+        while not (ends and good):
+            good = True
+            try:
+                self.settings()
+            except UsageError as error:
+                self.dialogue.report(str(error))
+                good = False
+            text = "A parameter to change, INSTRUMENT.KEY=VALUE" + (", - to go on" if good else "")
+            ends = self.dialogue.ask(
+                Question(name="parameter", text=text, default="-" if good else ""), parse
+            )
+
+    def _propose_level(self, position: str, trial: Trial) -> None:
+        """Propose a tenth of the incident wave as trigger level, if the digitizer has this parameter."""
+        digitizer = self.wired[position]["digitizer"]
+        unfit = [check.values for check in trial.checks if check.state == "warn" and LEVEL in check.values]
+        if not unfit or LEVEL not in _known_parameters(digitizer):
+            return
+        level_v, incident_v = (float(str(unfit[0][name])) for name in (LEVEL, "isw_amplitude_v"))
+        proposed_v = float(f"{math.copysign(0.1 * incident_v, level_v):.2g}")
+        self.dialogue.report(f"take   {digitizer}.{LEVEL} {proposed_v:g} V, a tenth of the incident wave")
+        if self.dialogue.yes("accept", "Take this value", default="yes"):
+            self.parameters[digitizer][LEVEL] = proposed_v
+
+    def _print_checks(self, checks: Iterable[Check]) -> None:
+        for check in checks:
+            remedy = f"; {check.remedy}" if check.remedy else ""
+            self.dialogue.report(f"{check.state:<6} {check.name}: {check.found}{remedy}")
+
+
+def named_kinds(
+    dialogue: Dialogue, names: Sequence[str], assignments: Sequence[str], file: Path, folder: Path
+) -> Kinds:
+    """Return the named kinds with given parameters.
 
     Raises
     ------
@@ -198,7 +292,8 @@ def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path,
                 f"--kind: none of {', '.join(names)} is a {role}; add one that is: "
                 f"{able or 'none is installed (docs/how-to/write-a-driver.md)'}"
             )
-    bench = KindsBench(
+    kinds = Kinds(
+        dialogue=dialogue,
         file=file,
         data_folder=folder,
         offers={name: available[name] for name in names},
@@ -206,141 +301,20 @@ def bench_of_kinds(names: Sequence[str], assignments: Sequence[str], file: Path,
     )
     try:
         for assignment in assignments:
-            bench.give(assignment)
+            kinds.give(assignment)
     except ValueError as error:
         raise UsageError(f"--set: {error}") from error
-    return bench
+    return kinds
 
 
-@dataclass(frozen=True, slots=True)
-class Kinds:
-    """Instruments of installed kinds as the dialogue sets them up."""
-
-    dialogue: Dialogue
-    bench: KindsBench
-
-    @property
-    def wired(self) -> Mapping[str, Mapping[Role, str]]:
-        """Return the instrument of each role by position."""
-        return self.bench.served
-
-    def introduce(self, flags: Flags, *, asks: bool) -> None:
-        """Print roles and parameters of each instrument."""
-        for name in self.bench.offers if asks else ():
-            self.dialogue.report(f"{name}: {_in_words(self.bench, name)}")
-
-    def wire(self, position: str, text: str) -> None:
-        """Wire a transducer as ``DIGITIZER/STRIKER``."""
-        digitizer, slash, striker = text.partition("/")
-        self.bench.served[position] = {"digitizer": digitizer, "striker": striker if slash else digitizer}
-
-    def ask_wiring(self, position: str) -> None:
-        """Ask for the instruments of a transducer and for parameters."""
-        self.bench.served[position] = {
-            role: self._instrument(position, role) for role in ROLES_OF_A_TRANSDUCER
-        }
-        self.bench.position = position
-        self._change()
-        self.check()
-
-    def check(self) -> None:
-        """Print the checks of the instruments; UsageError describes what is missing or wrong."""
-        self._print_checks(self.bench.checks())
-
-    def strike(self, position: str) -> None:
-        """Strike once; print the checks and ask for changes."""
-        trial = self.bench.strike(position, self.dialogue)
-        self._print_checks(trial.checks)
-        self._propose_level(position, trial)
-        self._change()
-
-    def strike_each(self, positions: Collection[str]) -> None:
-        """Strike each transducer once; RigError if one gives no waveform."""
-        for position in positions:
-            trial = self.bench.strike(position, self.dialogue)
-            self._print_checks(trial.checks)
-            if trial.record is None:
-                raise RigError(f"{position} gave no record; fix what is reported above, then run it again")
-
-    def conclude(self, *, asks: bool) -> None:
-        """Do nothing: each strike was assessed by itself."""
-
-    def contents(
-        self, others: Mapping[str, Any], off: set[KeyPath]
-    ) -> tuple[dict[str, Any], set[KeyPath], str]:
-        """Return values with all defaults, switched-off tables and head of the file."""
-        values = self.bench.values(others)
-        for item in configured(settings_of(values, off, self.bench.file)):
-            if item.name in self.bench.offers:
-                filled = {key: value for key, value in plain(item).items() if value is not None}
-                values["rig"]["instruments"][item.name] |= filled
-        struck = [name for name, trial in self.bench.trials.items() if trial.record is not None]
-        return values, off, head_of(self.bench.offers, struck)
-
-    def result(self) -> dict[str, Any]:
-        """Return the instruments, their roles and the strikes for ``--json``."""
-        return {
-            "instruments": {name: list(offer.distributions) for name, offer in self.bench.offers.items()},
-            "transducers": {name: dict(roles) for name, roles in self.bench.served.items()},
-            "struck": [trial.as_row() for trial in self.bench.trials.values()],
-        }
-
-    def _instrument(self, position: str, role: Role) -> str:
-        able = self.bench.able(role)
-        if len(able) == 1:
-            self.dialogue.report(f"{position}      {role}: {able[0]}")
-            return able[0]
-        question = Question(
-            name=f"{position}.{role}", text=f"The {role} of {position}", default=able[0], choices=able
-        )
-        return self.dialogue.ask(question, str)
-
-    def _change(self) -> None:
-        """Ask for parameters until they are valid and no change is requested."""
-        while True:
-            good = True
-            try:
-                self.bench.settings()
-            except UsageError as error:
-                self.dialogue.report(str(error))
-                good = False
-            question = Question(
-                name="parameter",
-                text="A parameter to change, INSTRUMENT.KEY=VALUE" + (", - to go on" if good else ""),
-                default="-" if good else "",
-            )
-            given = self.dialogue.ask(question, self.bench.given_in)
-            if given is None and good:
-                return
-
-    def _propose_level(self, position: str, trial: Trial) -> None:
-        """Propose a tenth of the incident wave as trigger level, if the digitizer has this parameter."""
-        digitizer = self.bench.served[position]["digitizer"]
-        unfit = [check.values for check in trial.checks if check.state == "warn" and LEVEL in check.values]
-        if not unfit or LEVEL not in self.bench.known(digitizer):
-            return
-        level_v, incident_v = (float(str(unfit[0][name])) for name in (LEVEL, "isw_amplitude_v"))
-        proposed_v = float(f"{math.copysign(0.1 * incident_v, level_v):.2g}")
-        self.dialogue.report(f"take   {digitizer}.{LEVEL} {proposed_v:g} V, a tenth of the incident wave")
-        if self.dialogue.yes("accept", "Take this value", default="yes"):
-            self.bench.parameters[digitizer][LEVEL] = proposed_v
-
-    def _print_checks(self, checks: Sequence[Check]) -> None:
-        for check in checks:
-            remedy = f"; {check.remedy}" if check.remedy else ""
-            self.dialogue.report(f"{check.state:<6} {check.name}: {check.found}{remedy}")
+def _known_parameters(instrument: str) -> Tables:
+    """Return the parameters of an instrument by name, as JSON Schema."""
+    kind, _ = find_kind(instrument)
+    properties: Tables = TypeAdapter[object](kind.parameters).json_schema().get("properties", {})
+    return properties
 
 
-def _in_words(bench: KindsBench, name: str) -> str:
-    """Describe the roles and parameters of an instrument, with defaults."""
-    texts = [
-        f"{key} = {schema['default']}" if "default" in schema else f"{key} (needed)"
-        for key, schema in bench.known(name).items()
-    ]
-    return f"{' and '.join(bench.offers[name].roles)}; {', '.join(texts) or 'no parameters'}"
-
-
-def _toml_value(text: str) -> Any:
+def _toml_value(text: str) -> object:
     """Read a number, a truth value, a list or a table as TOML; anything else is text."""
     try:
         return tomlkit.value(text).unwrap()

@@ -6,12 +6,12 @@ import re
 from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from daq_service.cli.doctor.check import stamp_now
 from daq_service.cli.set_up.dialogue import Dialogue, Question
 from daq_service.cli.set_up.init import laboratory
-from daq_service.settings.stored import KeyPath
+from daq_service.settings.stored import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
@@ -21,7 +21,7 @@ T = TypeVar("T")
 
 def ask_for_others(
     dialogue: Dialogue, probes: Mapping[str, str] | None, supply: str, climate: str, *, asks: bool
-) -> tuple[dict[str, Any], set[KeyPath]]:
+) -> tuple[Tables, set[KeyPath]]:
     """Return tables of [rig] for existing instruments, and the tables to switch off.
 
     Parameters
@@ -36,7 +36,7 @@ def ask_for_others(
     InstrumentError
         What the flags name does not answer.
     """
-    tables: dict[str, Any] = {}
+    tables: Tables = {}
     known = _probes(probes or {})
     if asks and probes is not None:
         known |= _ask_for_address(
@@ -97,7 +97,7 @@ def _probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:
     return found
 
 
-def _supply(port: str) -> dict[str, Any]:
+def _supply(port: str) -> Tables:
     """Read the supply's identity, and nothing else."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
@@ -106,7 +106,7 @@ def _supply(port: str) -> dict[str, Any]:
         return _plain(SupplyParameters(line=line, identity=_expected(supply.identity())))
 
 
-def _climate(port: str) -> dict[str, Any]:
+def _climate(port: str) -> Tables:
     """Read the climate probe's identity."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
@@ -121,5 +121,5 @@ def _expected(identity: Mapping[str, str]) -> str:
     return ",".join(re.escape(part) for part in parts)
 
 
-def _plain(parameters: Any) -> dict[str, Any]:
+def _plain(parameters: ProbeWiring | SupplyParameters | ClimateParameters) -> Tables:
     return {name: value for name, value in asdict(parameters).items() if value is not None}

@@ -7,7 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, Protocol
+from typing import Protocol
 
 from fastapi import Body, FastAPI, Request
 from starlette.responses import Response
@@ -43,7 +43,7 @@ class Scope(Protocol):
         """Return a position and its record at rest; None if recording needs a strike."""
         ...
 
-    def newest(self) -> dict[str, Any]:
+    def newest(self) -> dict[str, object]:
         """Return the newest strike as prepared by `drawn`."""
         ...
 

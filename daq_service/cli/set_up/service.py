@@ -12,7 +12,7 @@ import os
 import shlex
 import subprocess
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePath
 from xml.sax.saxutils import escape
 
@@ -25,8 +25,6 @@ from daq_service.processes.printing import print_result
 from daq_service.processes.supervisor import STARTING_GRACE_S
 from daq_service.recording.session import longest_call_s
 from daq_service.settings.tree import Settings
-
-Lines = Sequence[tuple[str, str]]
 
 
 def write_services(
@@ -81,99 +79,33 @@ def systemd_units(
 ) -> dict[str, str]:
     """Return the units of recorder, web service and, if there is a supply, its process, by file name."""
     longest_s = math.ceil(longest_call_s(settings) + settings.rig.stall_timeout_s)
-    drive, supply = f"{name}-supply-process.service", settings.rig.driven
-    units: dict[str, tuple[str, Lines, Lines]] = {
-        "record": (
-            "recorder",
-            [("Wants", drive), ("After", drive)] if supply is not None else [],
-            [
-                ("Type", "notify"),
-                ("NotifyAccess", "main"),
-                # A beat extends each of these by its own deadline: an edited configuration counts.
-                ("WatchdogSec", f"{longest_s}"),
-                ("TimeoutStartSec", f"{longest_s + STARTING_GRACE_S:.0f}"),
-                # The strike under way ends, what was taken is stored.
-                ("TimeoutStopSec", f"{longest_s + STARTING_GRACE_S:.0f}"),
-                # Only the recorder gets the signal; its workers end with it, or are killed after it.
-                ("KillMode", "mixed"),
-                ("RestartSec", "10"),
-            ],
-        ),
-        "serve": (
-            "web service",
-            [],
-            [
-                ("Type", "notify"),
-                ("NotifyAccess", "main"),
-                ("WatchdogSec", f"{WEB_DEADLINE_S:.0f}"),  # fed by the event loop itself
-                ("ExecStartPre", f"mkdir -p {_quoted(str(folder))}"),
-                ("RestartSec", "5"),
-                ("PrivateDevices", "yes"),
-            ],
-        ),
+    supply = settings.rig.driven
+    reply_s = 0 if supply is None else math.ceil(answered_within_s(supply))
+    values = {
+        "test": _plain(" ".join(settings.name.split())),
+        "folder": _quoted(str(folder)),
+        "user": user,
+        "at": _plain(str(config.parent)),
+        "wrong_configuration": UsageError.exit_code,
+        "interrupted": EXIT_INTERRUPTED,
+        # The supply process must be ready before the recorder looks whether it has to start one.
+        "after": "" if supply is None else "Wants={0}\nAfter={0}\n".format(f"{name}-supply-process.service"),
+        "longest_s": longest_s,
+        "start_s": f"{longest_s + STARTING_GRACE_S:.0f}",
+        "web_s": f"{WEB_DEADLINE_S:.0f}",
+        "reply_s": reply_s,
+        "switch_off_s": reply_s + 30,
     }
-    if supply is not None:
-        units["supply-process"] = (
-            "supply process",
-            [],
-            [
-                ("Type", "notify"),  # before the recorder looks whether it has to start one
-                ("NotifyAccess", "main"),
-                ("WatchdogSec", f"{math.ceil(answered_within_s(supply))}"),
-                # On a stop it switches off first, which may wait for the supply.
-                ("TimeoutStopSec", f"{math.ceil(answered_within_s(supply)) + 30}"),
-                ("RestartSec", "5"),
-            ],
-        )
     return {
-        f"{name}-{command}.service": _unit(
-            f"solimon, {title}: {settings.name}",
-            _command(command, config, folder),
-            config.parent,
-            folder,
-            user,
-            unit,
-            service,
+        f"{name}-{command}.service": _template(f"{command}.service").format(
+            command=" ".join(map(_quoted, _command(command, config, folder))), **values
         )
-        for command, (title, unit, service) in units.items()
+        for command in ("record", "serve", *(() if supply is None else ("supply-process",)))
     }
 
 
-def _unit(
-    title: str, command: Iterable[str], at: PurePath, folder: PurePath, user: str, unit: Lines, service: Lines
-) -> str:
-    """Return the text of a systemd unit."""
-    sections: dict[str, Lines] = {
-        "Unit": [
-            ("Description", _plain(" ".join(title.split()))),
-            ("RequiresMountsFor", _quoted(str(folder))),
-            ("StartLimitIntervalSec", "0"),  # a person cannot be expected to reset it
-            *unit,
-        ],
-        "Service": [
-            ("User", user),
-            ("WorkingDirectory", _plain(str(at))),
-            ("ExecStart", " ".join(map(_quoted, command))),
-            # Any exit code may be that of a driver or a vendor's library, so none ends a test but that of a
-            # configuration, which needs a person; `systemctl stop` is no restart.
-            ("Restart", "always"),
-            ("RestartPreventExitStatus", f"{UsageError.exit_code}"),
-            ("SuccessExitStatus", f"{EXIT_INTERRUPTED}"),
-            *service,
-            ("NoNewPrivileges", "yes"),
-            ("ProtectSystem", "full"),
-            ("ProtectControlGroups", "yes"),
-            ("ProtectKernelModules", "yes"),
-            ("ProtectKernelTunables", "yes"),
-            ("RestrictSUIDSGID", "yes"),
-            ("LockPersonality", "yes"),
-        ],
-        "Install": [("WantedBy", "multi-user.target")],
-    }
-    return "\n\n".join(
-        "\n".join([f"[{name}]", *(f"{key}={value}" for key, value in lines)])
-        for name, lines in sections.items()
-    ).join(["", "\n"])
+def _template(file: str) -> str:
+    return (Path(__file__).parent / "services" / file).read_text(encoding="utf-8")
 
 
 def _command(command: str, config: PurePath, folder: PurePath) -> list[str]:
@@ -196,53 +128,16 @@ def _quoted(text: str) -> str:
 
 # Windows -----------------------------------------------------------------------------------------------
 
-TASK = """<?xml version="1.0" encoding="UTF-16"?>
-<Task version="1.2" xmlns="http://schemas.microsoft.com/windows/2004/02/mit/task">
-  <RegistrationInfo><Description>{title}</Description></RegistrationInfo>
-  <Triggers>
-    <BootTrigger>
-      <Repetition><Interval>PT5M</Interval><StopAtDurationEnd>false</StopAtDurationEnd></Repetition>
-    </BootTrigger>
-  </Triggers>
-  <Principals>
-    <Principal id="Author">
-      <UserId>{user}</UserId>
-      <LogonType>S4U</LogonType>
-      <RunLevel>LeastPrivilege</RunLevel>
-    </Principal>
-  </Principals>
-  <Settings>
-    <MultipleInstancesPolicy>IgnoreNew</MultipleInstancesPolicy>
-    <DisallowStartIfOnBatteries>false</DisallowStartIfOnBatteries>
-    <StopIfGoingOnBatteries>false</StopIfGoingOnBatteries>
-    <StartWhenAvailable>true</StartWhenAvailable>
-    <IdleSettings><StopOnIdleEnd>false</StopOnIdleEnd><RestartOnIdle>false</RestartOnIdle></IdleSettings>
-    <ExecutionTimeLimit>PT0S</ExecutionTimeLimit>
-    <Priority>4</Priority>
-    <RestartOnFailure><Interval>PT1M</Interval><Count>255</Count></RestartOnFailure>
-  </Settings>
-  <Actions Context="Author">
-    <Exec>
-      <Command>{program}</Command>
-      <Arguments>{arguments}</Arguments>
-      <WorkingDirectory>{at}</WorkingDirectory>
-    </Exec>
-  </Actions>
-</Task>
-"""
-"""Starts at boot without a login (S4U: no password is stored) and every 5 min if it has ended; normal
-priority, which is not the scheduler's default; no time limit."""
-
 
 def windows_tasks(
     settings: Settings, config: PurePath, folder: PurePath, *, user: str, name: str
 ) -> Mapping[str, str]:
     """Return the tasks of the supervisor and, if there is a supply, its process, by file name."""
-    commands = {name: "run"}
+    commands, template = {name: "run"}, _template("task.xml")
     if settings.rig.driven is not None:
         commands[f"{name}-supply-process"] = "supply-process"
     return {
-        f"{task}.xml": TASK.format(
+        f"{task}.xml": template.format(
             title=escape(f"solimon {command}: {settings.name}"),
             user=escape(user),
             program=escape(sys.executable),

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, closing, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import click
 
@@ -17,14 +16,14 @@ from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.boards import Boards
 from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.init import laboratory, refuse_what_is_there, settings_of, write_file
-from daq_service.cli.set_up.kinds import Kinds, bench_of_kinds, other_kinds
+from daq_service.cli.set_up.kinds import named_kinds, other_kinds
 from daq_service.cli.set_up.other_instruments import ask_for_others
 from daq_service.cli.set_up.page import Scope, served_page
 from daq_service.cli.set_up.transducers import Flags, Instruments, set_up_transducers
 from daq_service.cli.set_up.wiring import board_in_words
 from daq_service.cli.terminal import open_page
 from daq_service.errors import BusyError, RigError, UsageError
-from daq_service.settings.stored import KeyPath
+from daq_service.settings.stored import KeyPath, Tables
 from hardware_drivers import errors as driver_errors
 
 if TYPE_CHECKING:
@@ -51,11 +50,23 @@ def run_setup(
     no_web: bool,
     no_browser: bool,
     as_json: bool,
-    **given: Any,
+    supply: str,
+    climate: str,
+    drop_height_m: float | None,
+    pulse_s: float | None,
+    strike: bool,
 ) -> None:
     """Run the command."""
     refuse_what_is_there(file)
-    flags = Flags(transducers=_named(transducers), probes=_named(probes), **given)
+    flags = Flags(
+        transducers=_named(transducers),
+        probes=_named(probes),
+        supply=supply,
+        climate=climate,
+        drop_height_m=drop_height_m,
+        pulse_s=pulse_s,
+        strike=strike,
+    )
     asks = not flags.transducers
     if assignments and not kinds:
         raise UsageError("--set is for --kind; NI boards are set up by questions, or by --transducer")
@@ -63,17 +74,18 @@ def run_setup(
     folder = data_dir or file.absolute().parent / laboratory()[0]["storage"]["folder"]
     if owner := owner_of(folder):
         raise BusyError(f"setup is refused: {owner}")
-    page = _Page(port=port, shown=asks and not no_web, opens=not no_browser)
     with ExitStack() as stack:
         instruments: Instruments
         scope: Scope
         if kinds:
-            scope = bench_of_kinds(kinds, assignments, file, folder)
-            instruments = Kinds(dialogue, scope)
+            scope = instruments = named_kinds(dialogue, kinds, assignments, file, folder)
         else:
             scope = stack.enter_context(closing(look_around(dialogue, folder, transport, grpc_address)))
             instruments = Boards(dialogue, scope)
-        stack.enter_context(page.of(dialogue, scope))
+        if asks and not no_web:
+            address = stack.enter_context(served_page(dialogue, scope, port))
+            opened = ", opened in your browser" if not no_browser and open_page(address) else ""
+            dialogue.report(f"scope  {address}{opened}; answer there or here")
         stack.enter_context(_translated_errors())
         set_up_transducers(dialogue, instruments, flags)
         probes_of = None if kinds else flags.probes
@@ -81,25 +93,6 @@ def run_setup(
         result = write(dialogue, instruments, file, others, off)
     if as_json:
         click.echo(json.dumps(result))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Page:
-    """Options of the page: port, whether it is shown, whether it opens automatically."""
-
-    port: int
-    shown: bool
-    opens: bool
-
-    @contextmanager
-    def of(self, dialogue: Dialogue, scope: Scope) -> Iterator[None]:
-        if not self.shown:
-            yield
-            return
-        with served_page(dialogue, scope, self.port) as address:
-            opened = ", opened in your browser" if self.opens and open_page(address) else ""
-            dialogue.report(f"scope  {address}{opened}; answer there or here")
-            yield
 
 
 @contextmanager
@@ -173,8 +166,8 @@ def _met(survey: Survey) -> str:
 
 
 def write(
-    dialogue: Dialogue, instruments: Instruments, file: Path, others: Mapping[str, Any], off: set[KeyPath]
-) -> dict[str, Any]:
+    dialogue: Dialogue, instruments: Instruments, file: Path, others: Tables, off: set[KeyPath]
+) -> dict[str, object]:
     """Write the file and its schema, validate it, and print the next steps."""
     values, off, head = instruments.contents(others, off)
     settings = settings_of(values, off, file)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -59,12 +58,12 @@ def _places(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
     return tokens_file(settings.web, folder), Audit(folder)
 
 
-def _audit(audit: Audit, action: str, **arguments: Any) -> None:
+def _audit(audit: Audit, action: str, **arguments: object) -> None:
     """Add the command to the audit log."""
     audit.add(who=user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done")
 
 
-def _shown(token: Token) -> dict[str, Any]:
+def _shown(token: Token) -> dict[str, object]:
     """Return a token without its secret."""
     shown = asdict(token) | {"state": token.state}
     del shown["sha256"]

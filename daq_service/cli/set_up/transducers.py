@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import Protocol
 
 from analysis.errors import AnalysisError
 from daq_service.cli.set_up.dialogue import Dialogue, Question
 from daq_service.cli.set_up.init import laboratory
 from daq_service.errors import BusyError, UsageError
-from daq_service.settings.stored import KeyPath
+from daq_service.settings.stored import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
+
+Contents = tuple[Tables, set[KeyPath], str]
+"""Values, switched-off tables and head of a new file."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -31,7 +34,7 @@ class Instruments(Protocol):
     """Instruments of one kind, as the dialogue sets them up."""
 
     @property
-    def wired(self) -> Mapping[str, Any]:
+    def wired(self) -> Mapping[str, object]:
         """Return the wiring by position."""
         ...
 
@@ -56,13 +59,11 @@ class Instruments(Protocol):
     def conclude(self, *, asks: bool) -> None:
         """Present what the strikes propose."""
 
-    def contents(
-        self, others: Mapping[str, Any], off: set[KeyPath]
-    ) -> tuple[dict[str, Any], set[KeyPath], str]:
+    def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return values, switched-off tables and head of the file; `others` are further tables of [rig]."""
         ...
 
-    def result(self) -> dict[str, Any]:
+    def result(self) -> Mapping[str, object]:
         """Return what ``--json`` prints of them."""
         ...
 
@@ -111,14 +112,24 @@ def positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]]:
     }
 
 
-def _ask_position(dialogue: Dialogue, taken: Mapping[str, Any]) -> str | None:
+def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None:
     """Ask for one more transducer; None if there is none."""
     question = Question(
         name="position",
         text="Position of a solitary-wave transducer" + (", - to end" if taken else ""),
         default="-" if taken else "B",
     )
-    return dialogue.ask(question, lambda text: _new_position(text, taken))
+
+    def parse(text: str) -> str | None:
+        if text == "-" and taken:
+            return None
+        if not text.isalnum() or text in taken:
+            raise ValueError(
+                f"{text!r} must be letters and digits, and not one of {', '.join(taken) or 'none'}"
+            )
+        return text
+
+    return dialogue.ask(question, parse)
 
 
 def _strikes_or_goes_on(dialogue: Dialogue, position: str) -> bool:
@@ -130,12 +141,3 @@ def _strikes_or_goes_on(dialogue: Dialogue, position: str) -> bool:
         choices=("strike", "go on"),
     )
     return dialogue.ask(question, lambda answer: answer == "strike")
-
-
-def _new_position(text: str, taken: Mapping[str, Any]) -> str | None:
-    """Return a valid new position; None for the end."""
-    if text == "-" and taken:
-        return None
-    if not text.isalnum() or text in taken:
-        raise ValueError(f"{text!r} must be letters and digits, and not one of {', '.join(taken) or 'none'}")
-    return text

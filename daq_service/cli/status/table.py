@@ -14,7 +14,7 @@ from rich.text import Text
 from analysis.diagnosis.hypotheses import OK, WALL
 from daq_service.alarms.evidence import confirmation_sentence
 from daq_service.alarms.guidance import GUIDANCE, in_order
-from daq_service.assessment.diagnosis import diagnosis_text
+from daq_service.assessment.diagnosis_texts import diagnosis_text
 from daq_service.cli.terminal import duration
 from daq_service.clock import format_utc
 from daq_service.processes.disk_policy import LEVELS

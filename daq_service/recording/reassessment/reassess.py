@@ -38,7 +38,6 @@ from daq_service.catalogue.rows import (
     ShotRow,
 )
 from daq_service.catalogue.store import open_for_a_while
-from daq_service.recording.cost import Cost
 from daq_service.recording.reassessment.changes import LIFE
 from daq_service.recording.reassessment.stored_runs import Progress, repeat_action, row_of, runs_of
 from daq_service.recording.set_assessor import SetAssessor
@@ -146,7 +145,7 @@ class _Reassessment:
         self._stored, self._again, self._settings = stored, again, settings
         self._features, self._read_set = features, read_set
         self._epoch_utc_ns = stored.experiment_row().epoch_utc_ns
-        self._assessor = SetAssessor(settings, archive, again, None, Cost(), rehearsal=settings.rig.dry_run)
+        self._assessor = SetAssessor(settings, archive, again, None, rehearsal=settings.rig.dry_run)
         # Alarms of this assessment are not reported.
         logging.getLogger(SetAssessor.__module__).addHandler(logging.NullHandler())
 

@@ -34,6 +34,7 @@ from daq_service.assessment.restore_state import first_waveform, is_assessed
 from daq_service.assessment.results_in_file import find_differences, results_of
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
@@ -49,7 +50,6 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     measured,
 )
-from daq_service.recording.cost import Cost
 from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.reassessment.changes import comparable
 from daq_service.recording.reassessment.stored_runs import Progress, Run, repeat_action, row_of, runs_of
@@ -60,18 +60,11 @@ from hardware_drivers.measurement import Shot
 R = TypeVar("R", bound=Row)
 FeaturesOf = Callable[[Shot], ShotFeatures]
 
-_STORED_ROWS: Mapping[str, type[Row]] = {
-    "set_done": SetRow,
-    "set_partial": SetRow,
-    "set_missed": SetRow,
-    "set_disabled": SetRow,
-    "set_features": FeatureRow,
-    "thickness_read": ThicknessRow,
-    "baseline_frozen": BaselineRow,
-    "set_assessed": AssessmentRow,
-    "environment_read": EnvironmentRow,
-}
-"""Kinds of events that hold a complete row."""
+_STORED_ROWS: Mapping[str, type[Row]] = {**ROW_OF_EVENT, "baseline_frozen": BaselineRow}
+"""Kinds of events that report a complete row."""
+_RESTORED_ROWS = ("sets", "shots", "features", "thickness", "baselines", "assessments", "environment")
+_SETS_OF_A_COMMIT = 64
+"""Restored sets are stored together: a commit costs more than the rows of a set."""
 _COMPUTED = ("set_features", "thickness_read", "baseline_frozen", "set_assessed")
 
 
@@ -141,9 +134,10 @@ class _Restoration:
         self._archive, self._catalogue, self._history = archive, catalogue, history
         rehearsal = settings.rig.dry_run
         self._features_of = features_of_a_rehearsal if rehearsal else features_of
-        self._set_assessor = SetAssessor(settings, archive, catalogue, None, Cost(), rehearsal=rehearsal)
+        self._set_assessor = SetAssessor(settings, archive, catalogue, None, rehearsal=rehearsal)
         self._alarms: dict[int, AlarmRow] = {}
         self._late: list[EventRow] = []
+        self._pending, self._n_pending = Transaction(), 0
         self._result = Restored()
 
     def run(self, progress: Progress) -> Restored:
@@ -168,18 +162,20 @@ class _Restoration:
         for reference in files.values():
             self._assess(reference, [], range(0))
             progress(total, total)
+        self._pending.events += self._late
+        self._store_pending()
         self._catalogue.restore(self._alarms.values())
-        self._catalogue.commit_set(Transaction(events=self._late))
         return self._result
 
     def _pass(self, events: Sequence[EventRow]) -> None:
         """Apply an event without a set, such as a command that changes later assessments."""
-        self._catalogue.restore(events)
+        self._pending.events += events
         for event in events:
             self._take_alarm(event)
             if event.topic == "annotations":
                 self._catalogue.restore([row_of(AnnotationRow, event, "annotation_id")])
             if event.kind in STEPS:
+                self._store_pending()
                 self._catalogue.restore([row_of(BaselineRow, event)])
             repeat_action(event, self._set_assessor.assessors, self._settings.positions)
 
@@ -312,17 +308,29 @@ class _Restoration:
     ) -> None:
         if computed_alarms:
             # This set has no events: its alarms follow from its assessment.
+            self._store_pending()
             self._catalogue.restore(self._alarms.values())
             transaction.events = list(events)
             self._set_assessor.commit(transaction)
             self._alarms |= {row.id or 0: row for row in self._set_assessor.alarms.values()}
             return
-        transaction.alarms, transaction.events, transaction.alarm_of_event = [], list(events), {}
-        transaction.states |= self._set_assessor.assessors.changed_states()
-        self._catalogue.commit_set(transaction)
+        if transaction.baselines:  # their assessments replace those of the sets before
+            self._store_pending()
+        for name in _RESTORED_ROWS:
+            getattr(self._pending, name).extend(getattr(transaction, name))
+        self._pending.events += events
+        self._n_pending += 1
+        if self._n_pending == _SETS_OF_A_COMMIT:
+            self._store_pending()
         self._set_assessor.confirmations.take_rows(transaction)
         for event in events:
             self._take_alarm(event)
+
+    def _store_pending(self) -> None:
+        """Store the rows of the last sets in one commit, with the states after them."""
+        self._pending.states = self._set_assessor.assessors.changed_states()
+        self._catalogue.commit_set(self._pending)
+        self._pending, self._n_pending = Transaction(), 0
 
     def _placed(
         self, computed: Sequence[EventRow], stored: Sequence[EventRow], free: Sequence[int]

@@ -6,23 +6,18 @@ import numpy as np
 import pytest
 from support.memory_archive import bits
 
+from analysis.assessment import step as solitary_wave_step
+from analysis.assessment.diagnosis import Origin, diagnose_confirmation, diagnose_scheduled, next_origin
+from analysis.assessment.exact_json import from_json
+from analysis.assessment.step import Rules, SetOfShots, State, step
 from analysis.diagnosis.diagnose import UNDETERMINED
 from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DROP_HEIGHT, GAIN, STIFFNESS, TILT, WALL_B
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.alarms.evidence import describe_evidence
-from daq_service.assessment import solitary_wave_step
-from daq_service.assessment.diagnosis import (
-    Origin,
-    diagnose_confirmation,
-    diagnose_scheduled,
-    diagnosis_details,
-    diagnosis_text,
-    next_origin,
-)
+from daq_service.assessment.diagnosis_texts import diagnosis_details, diagnosis_text
+from daq_service.assessment.position_assessors import state_rows
 from daq_service.assessment.signal_change import wall_conditions
-from daq_service.assessment.solitary_wave_step import Rules, SetOfShots, State, step
-from daq_service.assessment.stored_state import state_of, state_rows
 from daq_service.catalogue.rows import AssessmentRow
 
 LAST, SETS = 59, 100
@@ -200,7 +195,7 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
 def restarted(state):
     """Return the state after a restart: stored and read."""
     rows = state_rows(None, state, position="B", baseline_id=1, configuration_hash="")
-    return state_of(State, rows)
+    return from_json(State, *(row.state for row in rows))
 
 
 def test_a_restart_continues_from_the_stored_state_bit_for_bit():

@@ -84,7 +84,12 @@ def line(tmp_path):
 
 
 def test_a_set_with_a_file_gets_tiles_without_free_time(line):
+    """The coarser rows of incomplete blocks follow in free time; until then readers join finer ones."""
     line.file()
+    assert all(line.tiles().row(0, index) for index in line.files)
+    assert [line.tiles().row(1, 2).n_sets, line.tiles().row(2, 0)] == [4, None]
+    assert line.kept() == []
+    line.work(free_s=QUIET_S + 1)
     assert line.kept() == list(line.files)
     for position, alignment in (("A", "trigger"), ("B", "first"), ("C", "trigger")):
         tiles = line.tiles(position, alignment)
@@ -120,10 +125,12 @@ def test_a_corrupt_tile_is_made_again_in_the_next_round(line):
     content = bytearray(path.read_bytes())
     content[-9] ^= 1
     path.write_bytes(content)
-    assert line.kept() == list(line.files)[:-1]
+    newest = list(line.files)[-1]
+    assert line.tiles().row(0, newest) is None
     for _ in range(2):
         line.work(free_s=QUIET_S + 1)
         line.now_s += EVERY_S
+    assert line.tiles().row(0, newest) is not None
     assert line.kept() == list(line.files)
 
 

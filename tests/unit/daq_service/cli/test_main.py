@@ -5,7 +5,6 @@ import re
 import shutil
 import subprocess
 import sys
-from functools import partial
 from importlib import import_module
 from inspect import Parameter, signature
 from pathlib import Path
@@ -19,7 +18,7 @@ from support.command_line import command_of, solimon_here
 from daq_service.archive import ArchiveWriteError
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
 from daq_service.cli import run
-from daq_service.cli.groups.registry import SECTIONS, summary
+from daq_service.cli.groups.registry import SECTIONS
 from daq_service.cli.main import cli
 from daq_service.cli.status import command
 from daq_service.processes.supervisor import FINAL_CODES
@@ -121,6 +120,12 @@ def test_a_renewal_without_a_reason_is_rejected_with_the_missing_option(tmp_path
     assert "--reason 'sensor coupled again'" in done.stderr
 
 
+def test_a_switch_of_the_supply_names_its_direction(tmp_path: Path) -> None:
+    done = solimon_here("supply", "--data-dir", str(tmp_path), env={})
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "give --on or --off" in done.stderr
+
+
 def test_a_command_is_rejected_before_the_first_record(tmp_path: Path) -> None:
     done = solimon_here("pause", "--reason", "why", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 4
@@ -151,7 +156,8 @@ def test_the_help_lists_the_registry_by_section(monkeypatch: pytest.MonkeyPatch)
     }
 
 
-NAMES = [name for commands in SECTIONS.values() for name in commands]
+SUMMARIES = {name: text for commands in SECTIONS.values() for name, text in commands.items()}
+NAMES = list(SUMMARIES)
 
 
 def leaves(command: click.Command) -> list[click.Command]:
@@ -163,8 +169,8 @@ def leaves(command: click.Command) -> list[click.Command]:
 @pytest.mark.parametrize("name", NAMES)
 def test_a_command_has_its_summary_and_describes_its_options(name: str) -> None:
     command = command_of(name)
-    assert (command.name, str(command.help).partition("\n")[0]) == (name, summary(name))
-    assert len(summary(name)) <= 72
+    assert (command.name, str(command.help).partition("\n")[0]) == (name, SUMMARIES[name])
+    assert len(SUMMARIES[name]) <= 72
     for leaf in leaves(command):
         undescribed = [
             option.opts
@@ -179,13 +185,12 @@ def test_the_options_of_a_command_are_the_parameters_of_its_function() -> None:
     checked = set()
     for leaf in [leaf for name in NAMES for leaf in leaves(command_of(name))]:
         callback: Any = leaf.callback
-        if isinstance(callback, partial) and ":" in callback.args[0]:
-            module, _, function = callback.args[0].partition(":")
-            parameters = signature(getattr(import_module(f"daq_service.cli.{module}"), function)).parameters
-            given = {str(parameter.name) for parameter in leaf.params}
-            rest = {key for key, value in parameters.items() if value.kind is Parameter.VAR_KEYWORD}
-            assert given == set(parameters) or (rest and set(parameters) - rest <= given), leaf.name
-            checked.add(leaf.name)
+        module, _, function = callback.args[0].partition(":")
+        parameters = signature(getattr(import_module(f"daq_service.cli.{module}"), function)).parameters
+        given = {str(parameter.name) for parameter in leaf.params} | set(callback.keywords)
+        rest = {key for key, value in parameters.items() if value.kind is Parameter.VAR_KEYWORD}
+        assert given == set(parameters) or (rest and set(parameters) - rest <= given), leaf.name
+        checked.add(leaf.name)
     assert {"run", "record", "status", "verify", "simulate", "create"} <= checked
 
 
@@ -206,8 +211,8 @@ HEAVY |= {"fastapi", "pydantic", "sqlalchemy", "uvicorn", "nidaqmx", "serial"}
     ("arguments", "own"),
     [
         (["--help"], set()),
-        (["repair", "--help"], {"groups.data"}),
-        (["status", "--data-dir", "nowhere"], {"groups.monitor", "status", "status.command", "terminal"}),
+        (["repair", "--help"], set()),
+        (["status", "--data-dir", "nowhere"], {"status", "status.command", "terminal"}),
     ],
     ids=("help", "repair", "status"),
 )
@@ -219,7 +224,7 @@ def test_a_command_imports_no_module_of_another(arguments: list[str], own: set[s
     imported = {
         name.removeprefix("daq_service.cli.") for name in modules if name.startswith("daq_service.cli.")
     }
-    shared = {"main", "groups", "groups.registry"} | ({"groups.options"} if own else set())
+    shared = {"main", "groups", "groups.registry"}
     assert own | shared <= imported
     others = imported - own - shared
     assert {name.partition(".")[0] for name in others} <= {name.partition(".")[0] for name in own}

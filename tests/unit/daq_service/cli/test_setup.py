@@ -88,7 +88,7 @@ def test_the_page_answers_the_question_that_waits_and_no_other(terminal):
     assert not dialogue.answer(0, "strike"), "nothing is asked"
     value = ask_in_thread(dialogue, HEIGHT, float)
     shown = dialogue.as_row()["question"]
-    assert (shown["name"], shown["default"], shown["choices"]) == ("height", "0.005", [])
+    assert (shown["name"], shown["default"], shown["choices"]) == ("height", "0.005", ())
     assert dialogue.answer(shown["number"], "0.004")
     assert value.get() == 0.004
     assert dialogue.as_row()["question"] is None

@@ -10,7 +10,7 @@ from support.scripted_kinds import OFFERED, begin_script
 
 from daq_service.cli.main import cli
 from daq_service.cli.set_up.dialogue import Dialogue
-from daq_service.cli.set_up.kinds import Kinds, bench_of_kinds
+from daq_service.cli.set_up.kinds import named_kinds
 from daq_service.cli.set_up.transducers import Flags, set_up_transducers
 from daq_service.errors import BusyError, RigError, UsageError
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
@@ -85,34 +85,34 @@ def test_options_answer_every_question_and_strike_only_with_strike(file, script)
 
 def test_a_strike_without_a_record_writes_nothing(file, script, tmp_path):
     script.comes = False
-    bench = bench_of_kinds(["scripted-scope", "scripted-hammer"], [], file, tmp_path / "data")
     dialogue = Dialogue()
+    kinds = named_kinds(dialogue, ["scripted-scope", "scripted-hammer"], [], file, tmp_path / "data")
     flags = Flags(transducers={"B": "scripted-scope/scripted-hammer"}, strike=True)
     with pytest.raises(RigError, match="B gave no record"):
-        set_up_transducers(dialogue, Kinds(dialogue, bench), flags)
+        set_up_transducers(dialogue, kinds, flags)
     assert any("no record (" in line and "nothing came at B" in line for line in dialogue.lines)
     assert not file.exists()
 
 
 def test_no_strike_is_made_while_a_recorder_owns_the_folder(file, script, tmp_path):
     folder = tmp_path / "data"
-    bench = bench_of_kinds(["scripted-scope", "scripted-hammer"], [], file, folder)
-    bench.served["B"] = {"digitizer": "scripted-scope", "striker": "scripted-hammer"}
+    kinds = named_kinds(Dialogue(), ["scripted-scope", "scripted-hammer"], [], file, folder)
+    kinds.wire("B", "scripted-scope/scripted-hammer")
     prepare_data_folder(folder)
     with own_data_folder(folder), pytest.raises(BusyError, match="a strike is refused: "):
-        bench.strike("B", Dialogue())
+        kinds.strike("B")
     assert "strike B" not in script.events
 
 
 def test_the_page_is_shown_the_newest_record_and_its_waves(file, tmp_path):
-    bench = bench_of_kinds(["scripted-levelled", "scripted-hammer"], [], file, tmp_path / "data")
-    bench.served["B"] = {"digitizer": "scripted-levelled", "striker": "scripted-hammer"}
-    assert bench.newest() == {"strike": None, "shot": None}
-    bench.strike("B", Dialogue())
-    newest = bench.newest()
-    assert bench.watch() == ("B", None)
+    kinds = named_kinds(Dialogue(), ["scripted-levelled", "scripted-hammer"], [], file, tmp_path / "data")
+    kinds.wire("B", "scripted-levelled/scripted-hammer")
+    assert kinds.newest() == {"strike": None, "shot": None}
+    kinds.strike_each(["B"])
+    newest = kinds.newest()
+    assert kinds.watch() == ("B", None)
     assert newest["level_v"] == 0.05
-    assert max(newest["shot"]["highest_v"]) == bench.trials["B"].record.volts().max()
+    assert max(newest["shot"]["highest_v"]) == kinds.trials["B"].record.volts().max()
     assert [mark["name"] for mark in newest["marks"]] == ["ISW", "PSW"]
 
 

@@ -21,14 +21,12 @@ from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow, Eve
 from daq_service.clock import SimulatedClock, WallClock
 from daq_service.commands.execution import CommandExecutor
 from daq_service.commands.running_test import RunningTest
-from daq_service.recording.cost import Cost
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
 from hardware_drivers.nanoseconds import NS_PER_H
 
 HOUR = 3.5
-NS_PER_MS = 1_000_000
 
 
 class SupplyDouble:
@@ -56,7 +54,7 @@ class Bench:
     def __init__(self, folder: Path, clock: Clock, switch: SupplyDouble | None) -> None:
         self.folder, self.clock, self.switch = folder, clock, switch
         self.catalogue = new_catalogue(folder)
-        self.stop, self.now_ns, self.left_s = threading.Event(), 0, 60.0
+        self.stop, self.left_s = threading.Event(), 60.0
         self.next_set = 10
         self.restart()
 
@@ -69,7 +67,7 @@ class Bench:
     def restart(self, *, begin: bool = True) -> None:
         """Open the folder as a new recorder process does."""
         rig = cast(Rig, SimpleNamespace(dry_run=False, supply=None, climate=None))
-        self.ledger = SetAssessor(Settings(), FolderArchive(self.folder), self.catalogue, rig, Cost())
+        self.ledger = SetAssessor(Settings(), FolderArchive(self.folder), self.catalogue, rig)
         test = RunningTest(
             clock=self.clock,
             moment=lambda: Moment(utc_ns=self.clock.utc_ns(), due_h=HOUR, set_index=None),
@@ -89,8 +87,6 @@ class Bench:
         self.listener = CommandExecutor(
             self.catalogue,
             test,
-            listen_every_s=0.2,
-            mono_ns=lambda: self.now_ns,
             left_s=lambda row: self.left_s,
         )
         if begin:
@@ -106,7 +102,6 @@ class Bench:
 
     def execute(self, kind: str, **arguments: object) -> tuple[str, str]:
         order_id = self.write(kind, **arguments)
-        self.now_ns += 200 * NS_PER_MS
         self.listener.listen()
         return self.answer(order_id)
 
@@ -236,10 +231,8 @@ def test_a_command_without_a_stored_result_is_executed_once(
     with monkeypatch.context() as locked:
         locked.setattr(bench.catalogue, "finish_command", refused)
         for _ in range(2):
-            bench.now_ns += 200 * NS_PER_MS
             with pytest.raises(CatalogueBusyError):
                 bench.listener.listen()
-    bench.now_ns += 200 * NS_PER_MS
     bench.listener.listen()
     assert bench.answer(order_id) == ("done", "the supply is on")
     assert [what for what, *_ in bench.switch.done] == ["on"]
@@ -333,7 +326,6 @@ def test_without_a_mark_only_repeatable_commands_are_executed(
     monkeypatch.setattr(bench.catalogue, "start_command", refused)
     assert bench.execute("supply_off")[0] == "done"
     bench.write("supply_on")
-    bench.now_ns += 200 * NS_PER_MS
     with pytest.raises(CatalogueWriteError):
         bench.listener.listen()
     assert bench.switch is not None
@@ -450,14 +442,3 @@ def test_an_unknown_command_is_rejected_and_the_next_one_executed(bench: Bench) 
     assert "arguments.position" in message
     assert "arguments.positon" in message
     assert bench.execute("pause", note="why")[0] == "done"
-
-
-def test_the_listener_polls_at_most_once_per_interval(bench: Bench) -> None:
-    bench.listener.listen()
-    order_id = bench.write("pause", note="why")
-    bench.now_ns += 200 * NS_PER_MS - 1
-    bench.listener.listen()
-    assert bench.answer(order_id)[0] == "pending"
-    bench.now_ns += 1
-    bench.listener.listen()
-    assert bench.answer(order_id)[0] == "done"

@@ -11,9 +11,10 @@ from support.memory_line import Line, healthy, memory_settings
 from support.stored_files import read_set
 from support.table_rows import lose_catalogue, table_rows
 
+from analysis.assessment.confirmation import ALARM, STEP
 from analysis.diagnosis.diagnose import UNDETERMINED
 from analysis.diagnosis.hypotheses import COUPLING
-from daq_service.assessment.confirmation import ALARM, STEP, newest_confirmation
+from daq_service.assessment.confirmation import newest_confirmation
 from daq_service.catalogue.rows import AssessmentRow, CommandRow, FeatureRow, SetRow
 from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.recording.reassessment.rebuild import rebuild

@@ -28,6 +28,7 @@ from daq_service.catalogue.tables import metadata
 from daq_service.clock import parse_utc
 from daq_service.processes.lost_catalogue import is_catalogue_lost
 from daq_service.recording.experiment import foreign_reason
+from daq_service.recording.reassessment import restore_rows
 from daq_service.recording.reassessment.rebuild import BUILDING, rebuild
 from hardware_drivers.measurement import SetKey, ShotKey
 
@@ -53,7 +54,9 @@ def not_computed(shot):
     raise AssertionError(f"the history has the features of {shot.key}")
 
 
-def test_a_lost_catalogue_is_rebuilt_row_for_row(line):
+@pytest.mark.parametrize("sets_of_a_commit", [5, 64], ids=["several commits", "one commit"])
+def test_a_lost_catalogue_is_rebuilt_row_for_row(line, monkeypatch, sets_of_a_commit):
+    monkeypatch.setattr(restore_rows, "_SETS_OF_A_COMMIT", sets_of_a_commit)
     before = table_rows(line.folder)
     lose_catalogue(line.folder)
     calls = []

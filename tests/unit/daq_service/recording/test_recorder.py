@@ -10,12 +10,12 @@ from support.memory_line import SETS, Line, healthy, memory_settings, silent
 from daq_service.archive import ArchiveWriteError
 from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.task import BackgroundTask
-from daq_service.background.write_retry_queue import WriteRetryQueue
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueBusyError
 from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.errors import RigError
 from daq_service.processes.disk_policy import RESERVE_FILE
+from daq_service.recording.persistence import Persistence
 from daq_service.settings.tree import StorageSettings
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ShotKey
@@ -153,8 +153,8 @@ def test_in_real_time_sets_are_struck_on_and_stored_later(line, undisturbed):
 
 def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
     line.settings = memory_settings(clock={"kind": "wall"})
-    monkeypatch.setattr(WriteRetryQueue, "has_room", property(lambda backlog: len(backlog) < 2))
-    disk, work = FullDisk(line, 3, 10**9), WriteRetryQueue.run_for
+    monkeypatch.setattr(Persistence, "has_room", property(lambda backlog: len(backlog) < 2))
+    disk, work = FullDisk(line, 3, 10**9), Persistence.run_for
 
     def freed(backlog, seconds):
         """Work, and free the disk when two sets and three gaps wait."""
@@ -162,7 +162,7 @@ def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
             disk.left = 0
         work(backlog, seconds)
 
-    monkeypatch.setattr(WriteRetryQueue, "run_for", freed)
+    monkeypatch.setattr(Persistence, "run_for", freed)
     assert line.run(archive=disk, mono_s=Seconds(100.0))  # each poll is late enough for another try
     assert states(line, "B") == ["done"] * 5 + ["missed"] * 3 + ["done"] * (SETS - 8)
     assert causes(line, "B")[5] == "the memory for what waits is full: No space left on device"
@@ -780,3 +780,15 @@ def test_a_self_calibration_that_can_never_work_ends_the_test(line):
     boards = CalibratingBoards(ConfigurationError("no such board"))
     with pytest.raises(RigError, match="self-calibration before set 0 failed: no such board"):
         line.run(self_calibrating=boards, self_calibration_interval_h=24.0)
+
+
+@pytest.mark.parametrize(("listen_every_s", "most"), [(1e9, 2), (0.0, 10**6)])
+def test_a_look_at_commands_comes_at_most_once_per_interval(line, monkeypatch, listen_every_s, most):
+    polls, open_commands = [], RecorderCatalogue.open_commands
+    monkeypatch.setattr(
+        RecorderCatalogue, "open_commands", lambda catalogue: polls.append(1) or open_commands(catalogue)
+    )
+    line.listen_every_s = listen_every_s
+    assert line.run()
+    assert 0 < len(polls) - 2 <= most  # the start and the end close what an earlier recorder left
+    assert (len(polls) > 5) == (most > 2), "between shots too"

@@ -19,7 +19,6 @@ from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueWriteError
 from daq_service.clock import parse_utc
-from daq_service.recording.cost import Cost
 from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.instruments import Echo, Rig
@@ -55,7 +54,7 @@ def assessor_of(line):
     with line.catalogue(writer=True) as catalogue:
         line.epoch_ns(catalogue)
         rig = Rig(kind="simulated", clock=None, striker=None, digitizer=None)
-        yield SetAssessor(line.settings, MemoryArchive(line.shelf), catalogue, rig, Cost())
+        yield SetAssessor(line.settings, MemoryArchive(line.shelf), catalogue, rig)
 
 
 @contextmanager
@@ -208,8 +207,8 @@ def test_a_restart_reads_the_stored_states_and_no_sets(line, monkeypatch):
     # The settings that a state was computed with are part of it, and so is its format.
     other = memory_settings(alarms={"k": 1})
     with line.catalogue(writer=True) as catalogue, pytest.raises(AssertionError, match="computed again"):
-        SetAssessor(other, MemoryArchive(line.shelf), catalogue, None, Cost())
-    monkeypatch.setattr("daq_service.assessment.stored_state.STATE_FORMAT", 0)
+        SetAssessor(other, MemoryArchive(line.shelf), catalogue, None)
+    monkeypatch.setattr("daq_service.assessment.restore_state.STATE_FORMAT", 0)
     with pytest.raises(AssertionError, match="computed again"):
         restored_states(line)
 

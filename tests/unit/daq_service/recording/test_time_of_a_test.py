@@ -10,8 +10,8 @@ from support.memory_line import SETS, Line, healthy, memory_settings
 from daq_service.clock import parse_utc, wall
 from daq_service.errors import UsageError
 from daq_service.processes.heartbeat import Heartbeat, read_heartbeat
-from daq_service.recording.persistence import OVERSLEPT
 from daq_service.recording.resumed_time import EARLIEST_UTC, hour_0, time_before
+from daq_service.recording.storage_alarms import OVERSLEPT
 from hardware_drivers.measurement import ShotKey
 
 IN_2010_NS = parse_utc("2010-01-01T00:00:00Z")

@@ -51,7 +51,7 @@ def by_name(checks: Sequence[Check]) -> dict[str, Check]:
 
 
 def check(area: Any, state: Any) -> Check:
-    return Check(area=area, name="it", state=state, found="something", remedy="mend it")
+    return Check(area, "it", state, "something", "fix it")
 
 
 @pytest.mark.parametrize(
@@ -69,12 +69,12 @@ def test_the_worst_area_gives_the_exit_code(checks: list[Check], code: int) -> N
 
 
 def test_a_passed_check_has_no_remedy() -> None:
-    assert Check(area="rig", name="coils", found="cool", remedy="let them cool").remedy == ""
+    assert Check("rig", "coils", "ok", "cool", "let them cool").remedy == ""
 
 
 def test_a_failed_check_needs_a_remedy() -> None:
     with pytest.raises(ValueError, match="needs a remedy"):
-        Check(area="rig", name="it", state="warn", found="something")
+        Check("rig", "it", "warn", "something")
 
 
 # Software -------------------------------------------------------------------------------------------

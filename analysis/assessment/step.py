@@ -1,7 +1,7 @@
 """Assessment of one set after another at a transducer: pure functions of the state and a set.
 
-The recorder stores the state with each set, and a restart continues from it (`stored_state`). The stored rows
-of all sets give the same state. Rows and messages are in `solitary_wave`.
+The recorder stores the state with each set, and a restart continues from it. The stored rows of all sets give
+the same state.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from analysis.assessment.diagnosis import Origin, diagnose_scheduled, fit_diagnosis_parameters, next_origin
 from analysis.diagnosis.diagnose import Diagnosis
 from analysis.diagnosis.parameters import DiagnosisParameters
 from analysis.diagnosis.state import DiagnosisState
@@ -32,7 +33,6 @@ from analysis.statistics.rules import (
     next_poor_sets,
 )
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.assessment.diagnosis import Origin, diagnose_scheduled, fit_diagnosis_parameters, next_origin
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

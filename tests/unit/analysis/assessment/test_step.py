@@ -6,12 +6,12 @@ from functools import reduce
 import numpy as np
 import pytest
 
+from analysis.assessment.baseline_quality import ALIKE, assess_baseline
+from analysis.assessment.step import Rules, SetOfShots, State, reinstated, step
 from analysis.statistics.limits import f_predictive_limit, paper_limit
 from analysis.statistics.named_limits import LIMITS, NamedLimit
 from analysis.statistics.rules import AlarmRule, HoleRule
 from analysis.waves.features import FEATURE_NAMES
-from daq_service.assessment.baseline_quality import ALIKE, assess_baseline
-from daq_service.assessment.solitary_wave_step import Rules, SetOfShots, State, reinstated, step
 
 LAST = 19
 RULES = Rules(
@@ -215,7 +215,7 @@ def test_a_limit_is_added_by_its_entry_alone(monkeypatch):
         words="Twice the F limit", of="distance_squared", value=lambda facts: 2 * facts.by_default.limit
     )
     monkeypatch.setattr("analysis.statistics.named_limits.LIMITS", {**LIMITS, "twice": twice})
-    monkeypatch.setattr("daq_service.assessment.solitary_wave_step.LIMITS", {**LIMITS, "twice": twice})
+    monkeypatch.setattr("analysis.assessment.step.LIMITS", {**LIMITS, "twice": twice})
     sets = [*baseline(), set_summary(LAST + 1, shift=0.02)]
     state, assessment = state_after(sets, replace(RULES, limit="twice"))
     assert state.baseline.limits["twice"] == 2 * state.baseline.limits["default"]

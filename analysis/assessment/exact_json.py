@@ -1,13 +1,13 @@
-"""State of an assessor as JSON that is exact to the last bit, and the catalogue rows that keep it.
+"""Frozen dataclasses of numbers, texts, arrays and further dataclasses as JSON, exact to the last bit.
 
-A state is a frozen dataclass of numbers, texts, arrays and further dataclasses. Its type directs the reading.
+The type directs the reading.
 """
 
 from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import fields, is_dataclass
 from functools import cache
 from types import NoneType, UnionType
@@ -15,45 +15,20 @@ from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import numpy as np
 
-from daq_service.catalogue.rows import AssessorStateRow
-
-S = TypeVar("S")
-
-STATE_FORMAT = 1
-"""Version of the stored states; a state of another version is computed from the stored sets."""
-FROZEN_FIELDS = frozenset({"healthy", "n_left_out", "baseline", "reference"})
-"""Fields of a state that rarely change. They are large and have a row of their own."""
+T = TypeVar("T")
 
 
-def state_rows(
-    before: Any, after: Any, *, position: str, baseline_id: int | None, configuration_hash: str
-) -> list[AssessorStateRow]:
-    """Return the rows of a state that differ from those of the state before; None: all of them."""
-    parts = {"frozen": FROZEN_FIELDS, "running": {item.name for item in fields(after)} - FROZEN_FIELDS}
-    rows = []
-    for part, names in parts.items():
-        values = {item.name: getattr(after, item.name) for item in fields(after) if item.name in names}
-        if before is not None and all(getattr(before, name) is value for name, value in values.items()):
-            continue
-        rows.append(
-            AssessorStateRow(
-                place=f"{position}/{part}",
-                position=position,
-                baseline_id=baseline_id,
-                configuration_hash=configuration_hash,
-                format=STATE_FORMAT,
-                state=json.dumps(values, default=_encoded, separators=(",", ":")),
-            )
-        )
-    return rows
+def to_json(values: Mapping[str, object]) -> str:
+    """Return fields of a dataclass by name as JSON text."""
+    return json.dumps(values, default=_encoded, separators=(",", ":"))
 
 
-def state_of(kind: type[S], rows: Iterable[AssessorStateRow]) -> S:
-    """Return the state that rows keep."""
+def from_json(kind: type[T], *texts: str) -> T:
+    """Return the dataclass whose fields the texts hold."""
     values: dict[str, object] = {}
-    for row in rows:
-        values |= json.loads(row.state)
-    decoded: S = _decoded(kind, values)
+    for text in texts:
+        values |= json.loads(text)
+    decoded: T = _decoded(kind, values)
     return decoded
 
 

@@ -15,8 +15,8 @@ from alembic import op
 from daq_service.catalogue.connection import json_text
 from daq_service.catalogue.earlier_names import current_row
 
-revision = "0015"
-down_revision = "0014"
+revision = "0016"
+down_revision = "0015"
 
 _KEY = "position, set_index, unscheduled_index"
 _OF_SETS = ("sets", "shots", "features", "thickness", "assessments")
@@ -35,17 +35,17 @@ def upgrade() -> None:
         copy = re.sub(
             rf"CONSTRAINT uq_{table}_\w+ UNIQUE \(position, set_index",
             f"CONSTRAINT uq_{table}_{_KEY.replace(', ', '_')} UNIQUE ({_KEY}",
-            definition.replace(table, f"{table}_0015", 1).replace(
-                "REFERENCES shots ", "REFERENCES shots_0015 "
+            definition.replace(table, f"{table}_0016", 1).replace(
+                "REFERENCES shots ", "REFERENCES shots_0016 "
             ),
         )
         _execute(copy)
-        _execute(f"INSERT INTO {table}_0015 SELECT * FROM {table}")
-        _split(f"{table}_0015", "set_index", "unscheduled_index")
+        _execute(f"INSERT INTO {table}_0016 SELECT * FROM {table}")
+        _split(f"{table}_0016", "set_index", "unscheduled_index")
     for table in reversed(_OF_SETS):
         op.drop_table(table)
     for table in _OF_SETS:
-        op.rename_table(f"{table}_0015", table)
+        op.rename_table(f"{table}_0016", table)
     for definition in indices:
         renamed = definition.replace("position_set_index", "position_set_index_unscheduled_index")
         _execute(renamed.replace("(position, set_index", f"({_KEY}"))

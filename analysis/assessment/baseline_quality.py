@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
+from analysis.assessment.step import Rules, State
 from analysis.statistics.baseline import ADVISED_SETS
 from analysis.statistics.baseline_check import Anomaly, find_anomalies
-from daq_service.assessment.solitary_wave_step import Rules, State
 
 GOOD_SETS = 200
 """From this number on, the chart has its full sensitivity and slow drift is measurable."""
@@ -25,7 +23,7 @@ def advice(n_sets: int) -> str | None:
     return f"{few}{GOOD_SETS} sets and more are advised, {n_sets} are there"
 
 
-def assess_baseline(state: State, rules: Rules) -> dict[str, Any] | None:
+def assess_baseline(state: State, rules: Rules) -> dict[str, object] | None:
     """Return the quality of a baseline that was just frozen; None if it has no limits.
 
     Sets are listed by index; ``rate_verified``: the chart keeps its design false-alarm rate.

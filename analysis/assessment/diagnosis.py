@@ -1,15 +1,14 @@
-"""Diagnosis of a change for the recorder: the origin of an alarm, and texts for operators."""
+"""Diagnosis of a transducer's sets, and the class of the change on which its alarm is based."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 
-from analysis.diagnosis.diagnose import UNDETERMINED, Diagnosis, diagnosis_of, state_with_diagnosis
-from analysis.diagnosis.hypotheses import CAUSES, COUPLING, ENVIRONMENT, OK, SENSOR, WALL
+from analysis.diagnosis.diagnose import Diagnosis, diagnosis_of, state_with_diagnosis
+from analysis.diagnosis.hypotheses import COUPLING, ENVIRONMENT, OK, SENSOR, WALL
 from analysis.diagnosis.parameters import DiagnosisParameters, diagnosis_parameters, logs_of
 from analysis.diagnosis.slopes import COMPONENTS
 from analysis.diagnosis.state import DiagnosisState, with_confirmation, with_set
@@ -22,36 +21,6 @@ ASKED_TWICE = frozenset({WALL, COUPLING})
 """Diagnoses that two consecutive sets or a confirmation set have confirmed."""
 
 Values = Mapping[str, float | None]
-
-SENTENCES: Mapping[str, tuple[str, str]] = {
-    OK: ("the transducer is as in its baseline", "nothing to do"),
-    WALL: (
-        "the reflected wave has changed as under a thinning wall, and the incident wave has not",
-        "have the wall inspected here",
-    ),
-    SENSOR: (
-        "the incident wave has changed as by striker, beads, tilt or gain, which no wall does",
-        "check striker, beads, sensor and cable; then record a new baseline",
-    ),
-    COUPLING: (
-        "the waves have changed as by contacts that sit differently",
-        "see how the chain stands on the wall, then record a new baseline",
-    ),
-    ENVIRONMENT: (
-        "the waves have changed as by temperature",
-        "compare with the temperature and with the other transducers; wait for a day",
-    ),
-    UNDETERMINED: (
-        "something has changed, and no cause is sure",
-        "treat it as the wall until it is known: compare with the control position, then inspect",
-    ),
-}
-"""By diagnosis: observation and action."""
-ABRUPT = (
-    "something has changed from one set to the next",
-    "abrupt: inspect the contact first; where it sits well, treat it as the wall",
-)
-"""In place of `UNDETERMINED` where a step is likelier than not."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,32 +99,3 @@ def _diagnose(
 ) -> tuple[DiagnosisState, Diagnosis]:
     assessment = diagnosis_of(memory, design, suspicious=suspicious)
     return state_with_diagnosis(memory, assessment), assessment
-
-
-def operator_texts(cause: str, abrupt: float) -> tuple[str, str]:
-    """Return observation and action of a diagnosis, for operators."""
-    return ABRUPT if cause == UNDETERMINED and abrupt > 0.5 else SENTENCES[cause]
-
-
-def diagnosis_details(assessment: Diagnosis) -> dict[str, Any]:
-    """Return the details of a diagnosis for an assessment row, besides cause and probability."""
-    sentence, action = operator_texts(assessment.cause, assessment.abrupt)
-    return {
-        "sentence": sentence,
-        "action": action,
-        "probabilities": dict(assessment.probabilities),
-        "abrupt": assessment.abrupt,
-        "changes": dict(assessment.changes),
-        "confirmed": assessment.confirmed,
-    }
-
-
-def diagnosis_text(
-    row_cause: str | None, probability: float | None, details: Mapping[str, Any] | None
-) -> str:
-    """Return cause, probability, observation and action as one text; empty if there is no diagnosis."""
-    if row_cause is None or details is None or probability is None:
-        return ""
-    # If undetermined, the probability is that of the likeliest cause, which is not shown.
-    percent = f" ({100.0 * probability:.0f} %)" if row_cause in (OK, *CAUSES) else ""
-    return f"{row_cause.upper()}{percent}: {details['sentence']}; {details['action']}"

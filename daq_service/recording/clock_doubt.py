@@ -1,0 +1,61 @@
+"""Wait with the first set until the computer's clock is believed."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import asdict
+from functools import partial
+
+from daq_service.alarms.clock_trouble import doubt_condition
+from daq_service.clock import WallClock
+from daq_service.recording.opening import Opening
+from daq_service.recording.persistence import Persistence
+from daq_service.recording.resources import Resources
+from daq_service.recording.resumed_time import CLOCK_BELIEVED
+from daq_service.recording.set_assessor import SetAssessor
+from daq_service.recording.waiting import Waiting
+
+log = logging.getLogger(__name__)
+
+
+def until_clock_is_believed(
+    resources: Resources,
+    assessor: SetAssessor,
+    persistence: Persistence,
+    waiting: Waiting,
+    not_running_reason: str,
+    opening: Opening | None,
+) -> list[tuple[int, str]]:
+    """Let time stand still while it is doubted; return until when (ns of UTC) sets were missed and why.
+
+    The list is in order of time.
+    """
+    clock, reasons = resources.rig.clock, list[str]()
+    if not isinstance(clock, WallClock):
+        return [(clock.utc_ns(), not_running_reason)]
+
+    def report_doubt(doubt: str) -> None:
+        persistence.do(partial(assessor.update_alarm, doubt_condition(doubt), resources.moment()))
+
+    def wait(reason: str) -> bool:
+        if not reasons:
+            log.error("waiting for a set clock: %s", reason)
+            report_doubt(reason)
+        reasons.append(reason)
+        waiting.doing = f"waiting for a set clock: {reason}"
+        return waiting.between_sets()
+
+    started_ns = clock.mono_ns()
+    believed = clock.wait_while_doubted(wait)
+    if resources.stop.is_set():
+        return []
+    if believed is not None:
+        log.warning("%s", believed.message)
+        persistence.say(CLOCK_BELIEVED, asdict(believed))
+    report_doubt("")
+    now_ns, waited = clock.utc_ns(), f"the recorder waited for a set clock: {''.join(reasons[:1])}"
+    offset_ns = now_ns - clock.mono_ns()
+    opened = [(offset_ns + started_ns, not_running_reason)]
+    if opening is not None:
+        opened = [(offset_ns + opening.since_mono_ns, not_running_reason), (opened[0][0], opening.text)]
+    return [*opened, (now_ns, waited)]

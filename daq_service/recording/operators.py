@@ -1,0 +1,76 @@
+"""What connects a recorder with people: their commands, and what an instrument asks them to do."""
+
+from __future__ import annotations
+
+from dataclasses import asdict
+from functools import partial
+
+from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue.rows import AnnotationRow
+from daq_service.commands.execution import CommandExecutor
+from daq_service.commands.running_test import RunningTest
+from daq_service.recording.persistence import Persistence
+from daq_service.recording.resources import Resources
+from daq_service.recording.set_assessor import SetAssessor
+from daq_service.recording.waiting import Waiting
+from hardware_drivers.measurement import ShotKey
+from hardware_drivers.methods import SOLITARY_WAVE
+
+ASKED, ASKED_OVER = "asked", "asked_over"
+"""Events: a person is asked to do something now; that is done, or too late."""
+
+
+def command_executor(resources: Resources, assessor: SetAssessor, waiting: Waiting) -> CommandExecutor:
+    """Return the executor of an operator's commands to this recorder."""
+    settings, catalogue, drive = resources.settings, resources.catalogue, assessor.drive
+    test = RunningTest(
+        clock=resources.rig.clock,
+        moment=resources.moment,
+        stop=resources.stop,
+        alarms=assessor.alarms,
+        annotations=lambda: catalogue.rows(AnnotationRow),
+        store=assessor.commit,
+        reinstated=assessor.assessors.reinstate,
+        confirmation=partial(_request_set, resources, assessor, waiting),
+        settings=settings,
+        next_set=lambda: waiting.next_set,
+        baseline=catalogue.baseline,
+        renewed=assessor.assessors.renew,
+        positions=settings.names_of(SOLITARY_WAVE),
+        supply=drive if drive is not None and drive.has_supply else None,
+    )
+    return CommandExecutor(catalogue, test, adopt=assessor.adopt)
+
+
+def _request_set(
+    resources: Resources, assessor: SetAssessor, waiting: Waiting, position: str, author: str, note: str
+) -> Transaction:
+    """Request an unscheduled set by a person's command; it is taken when the line is free.
+
+    Raises
+    ------
+    ValueError
+        It cannot be taken, and why.
+    """
+    if waiting.newest is None:
+        raise ValueError("no planned set was taken yet, or none is left: nothing is struck beside the plan")
+    return assessor.order_confirmation(waiting.newest, position, author, note, resources.moment())
+
+
+def listen_to_instruments(resources: Resources, persistence: Persistence, waiting: Waiting) -> None:
+    """Report from now on what an instrument asks a person to do; an empty text withdraws it."""
+
+    def report(text: str, key: ShotKey | None) -> None:
+        waiting.request = text and f"waiting for a person: {text}"
+        # The record is waited for from here on, as long as the heartbeat's deadline allows.
+        waiting.beat(at_once=True)
+        if not text:
+            persistence.say(ASKED_OVER, {})
+            resources.report(ASKED_OVER)
+            return
+        shot = {} if key is None else asdict(key)
+        asked = {"text": text, **shot, "within_s": resources.settings.rig.read_timeout_s}
+        persistence.say(ASKED, asked)
+        resources.report(ASKED, **asked)
+
+    resources.rig.asking.listen(report)

@@ -1,0 +1,139 @@
+"""Alarms and events of the disk, of stored data and of the web service, while the recorder waits."""
+
+from __future__ import annotations
+
+import logging
+from contextlib import suppress
+from dataclasses import asdict
+from functools import partial
+
+from daq_service.alarms.data_trouble import damage_condition, space_condition, storage_condition
+from daq_service.alarms.process_trouble import web_condition
+from daq_service.alarms.states import Condition
+from daq_service.errors import PASSING
+from daq_service.processes.disk_policy import DiskSpace
+from daq_service.recording.persistence import Persistence, Trouble
+from daq_service.recording.resources import Resources
+from daq_service.recording.set_assessor import SetAssessor
+
+log = logging.getLogger(__name__)
+
+OVERSLEPT = "its time went by while the recorder ran: the computer slept, or what came before took too long"
+
+DISK_SPACE = "disk_space"
+"""Event at each change of how much of the volume is free (`disk_policy.LEVELS`)."""
+
+
+class StorageAlarms:
+    """Reports what storage and web service lack, and when it is over."""
+
+    def __init__(self, resources: Resources, assessor: SetAssessor, persistence: Persistence) -> None:
+        self._archive, self._set_assessor, self._persistence = resources.archive, assessor, persistence
+        self._finalizer, self._verification = resources.finalizer, resources.verification
+        self._disk, self._web, self._moment = resources.disk, resources.web, resources.moment
+        self._web_is_missing: bool | None = None
+        self._reported_corruption: dict[str, str] = {}
+        self._reported_trouble = self._reported_finalizing = ""
+        self._trouble_until_ns = -1
+        if self._disk is not None:
+            self._disk.on_change = self._report_space
+
+    def overdue_reason(self, due_utc_ns: int) -> str:
+        """State why the time of a set went by: the disk or the catalogue refused, or the computer slept."""
+        is_over = self._persistence.trouble is None and self._trouble_until_ns < due_utc_ns
+        return OVERSLEPT if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
+
+    def watch_web(self) -> None:
+        """Watch the web service."""
+        is_missing = None if self._web is None else self._web.is_missing()
+        if is_missing in (None, self._web_is_missing):
+            return
+        moment = self._moment()
+        with suppress(*PASSING):  # the next look stores it
+            self._set_assessor.update_alarm(web_condition(moment.due_h, present=is_missing), moment)
+            self._web_is_missing = is_missing
+
+    def start_verification(self) -> None:
+        """Find stored sets that are missing; report them and the files in quarantine."""
+        if self._verification is not None:
+            alarm = self._set_assessor.alarms.get((None, "data_corrupt"))
+            stands = alarm is not None and alarm.state in ("unacknowledged", "acknowledged")
+            self._verification.begin(alarm.evidence.get("damaged", {}) if alarm and stands else {})
+        self._report_corruption(at_the_start=True)
+
+    def use_reserve(self) -> None:
+        """Store what waits in the space that is reserved for a stop; what no disk takes is lost."""
+        if self._persistence.trouble is not None and self._disk is not None:
+            self._disk.free_reserve()
+            self._persistence.run_all()
+        if (trouble := self._persistence.trouble) is not None:
+            log.error("%d jobs are lost that no disk took: %s", len(self._persistence), trouble.message)
+
+    def report(self) -> None:
+        """Report what the background tasks have found."""
+        if self._finalizer is not None:
+            self._report_finalizing(self._finalizer.trouble)
+        if self._persistence.trouble is None:
+            self._report_corruption()
+
+    def _report_space(self, space: DiskSpace) -> None:
+        """Report the level of the volume: an event at each change, an alarm at the last two."""
+        log.warning("%s: level %s", space.description, space.level)
+        self._persistence.say(DISK_SPACE, asdict(space))
+        condition = space_condition(
+            space.description, present=space.level in ("alarm", "stop"), stops=space.level == "stop"
+        )
+        self._store_alarm(condition)
+
+    def _store_alarm(self, condition: Condition) -> None:
+        """Store an alarm now, or as soon as the catalogue takes it."""
+        job = partial(self._set_assessor.update_alarm, condition, self._moment())
+        try:
+            job()
+        except PASSING as error:
+            log.warning("the alarm is stored later: %s", error)
+            self._persistence.do(job)
+
+    def report_trouble(self, trouble: Trouble | None) -> None:
+        """Raise or clear the alarm if the catalogue accepts it; the heartbeat always reports the trouble."""
+        self._trouble_until_ns = self._moment().utc_ns
+        if trouble is not None:
+            self._reported_trouble = trouble.message
+            try:
+                self._set_assessor.update_alarm(
+                    storage_condition(trouble.message, present=True), self._moment()
+                )
+            except PASSING as error:
+                log.warning("the alarm is not stored: %s", error)
+        else:  # on record even if the catalogue itself was what took nothing
+            self._store_alarm(storage_condition(self._reported_trouble, present=True))
+            self._store_alarm(storage_condition(self._reported_trouble, present=False))
+            self._reported_finalizing = ""  # what still has no file is reported again
+
+    def _report_finalizing(self, trouble: str) -> None:
+        """Raise or clear the alarm of sets that get no file; nothing of them is at risk."""
+        if bool(trouble) == bool(self._reported_finalizing) or self._persistence.trouble is not None:
+            return
+        message = trouble or self._reported_finalizing
+        self._reported_finalizing = trouble
+        self._store_alarm(storage_condition(message, present=bool(trouble), waits_in="journal"))
+
+    def _report_corruption(self, *, at_the_start: bool = False) -> None:
+        """Raise or clear the alarm of corrupt or missing sets, and report each new one."""
+        damaged = dict(self._archive.journal_damage.files)
+        for helper in (self._finalizer, self._verification):
+            damaged |= {} if helper is None else helper.damaged
+        if damaged == self._reported_corruption and not at_the_start:
+            return
+        new = {
+            file: description
+            for file, description in damaged.items()
+            if file not in self._reported_corruption
+        }
+        self._reported_corruption = damaged
+        for file, description in new.items():
+            log.error("%s: %s", file, description)
+            self._persistence.say("data_corrupt", {"file": file, "description": description})
+        aside = [file for file in self._archive.quarantined() if file not in damaged]
+        condition = damage_condition(aside, damaged)
+        self._persistence.do(partial(self._set_assessor.update_alarm, condition, self._moment()))

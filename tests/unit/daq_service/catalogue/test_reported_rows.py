@@ -1,0 +1,123 @@
+"""A row of a set is stored once: its event holds no copy, and every reader gets the row with the event."""
+
+import shutil
+import sqlite3
+from contextlib import closing
+from dataclasses import replace
+
+import pytest
+from sqlalchemy import event
+from support.life_of_a_test import lived
+from support.table_rows import table_rows
+
+from daq_service.catalogue import open_catalogue
+from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.corruption import catalogue_corruption
+from daq_service.catalogue.errors import CatalogueDamagedError
+from daq_service.catalogue.history import lacks_rows_of, read_history
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, reported
+from daq_service.catalogue.rows import AlarmRow, AssessmentRow, EventRow, FeatureRow
+from daq_service.catalogue.salvage import read_sound_rows
+from daq_service.recording.reassessment.rebuild import rebuild
+
+
+@pytest.fixture(scope="module")
+def life(tmp_path_factory):
+    return lived(tmp_path_factory.mktemp("life"))
+
+
+@pytest.fixture
+def line(life, tmp_path):
+    """Return a copy of its folder."""
+    shutil.copytree(life.folder, folder := tmp_path / "copy")
+    return replace(life, folder=folder)
+
+
+def change(folder, sql):
+    with closing(sqlite3.connect(folder / FILE_NAME)) as database, database:
+        return database.execute(sql).rowcount
+
+
+def row_key(row):
+    return type(row), row.position, row.set_index
+
+
+def test_an_event_of_a_set_is_stored_without_its_row_and_read_with_it(life):
+    with life.catalogue() as catalogue:
+        events = catalogue.rows(EventRow)
+        rows = {
+            row_key(row): row
+            for kind in set(ROW_OF_EVENT.values())
+            for row in catalogue.rows(kind, **({"scope": "set"} if kind is FeatureRow else {}))
+            if hasattr(row, "position")
+        }
+    stored = {row[0]: row[-2] for row in table_rows(life.folder, "events")["events"]}
+    of_rows = [row for row in events if row.kind in ROW_OF_EVENT]
+    final = [row for row in of_rows if not row.payload.get("in_baseline")]
+    assert {row.kind for row in final} >= ROW_OF_EVENT.keys() - {"environment_read"}
+    assert {stored[row.id] for row in final} == {"{}"}
+    for row in final:
+        assert row.payload == reported(rows[ROW_OF_EVENT[row.kind], row.position, row.set_index])
+        assert row.payload.keys() == set(ROW_OF_EVENT[row.kind].__slots__) - {"id"}
+
+
+def test_an_event_whose_row_changes_later_keeps_what_was_reported(life):
+    with life.catalogue() as catalogue:
+        assessed = catalogue.rows(EventRow, topic="assessments", kind="set_assessed", position="B")
+        first, row = assessed[0], catalogue.rows(AssessmentRow, position="B")[0]
+        alarm_events = catalogue.rows(EventRow, topic="alarms")
+        states = {alarm.id: alarm.state for alarm in catalogue.rows(AlarmRow)}
+    assert (first.set_index, row.set_index) == (0, 0)
+    assert first.payload["baseline_id"] is None
+    assert row.baseline_id is not None
+    alarm_events = [item for item in alarm_events if "alarm_id" in item.payload]
+    changed = [item for item in alarm_events if item.payload["state"] != states[item.payload["alarm_id"]]]
+    assert {item.kind for item in changed} >= {"alarm_raised"}
+
+
+def test_lines_of_the_history_hold_the_rows(life):
+    with life.catalogue() as catalogue:
+        events = {row.id: row for row in catalogue.rows(EventRow)}
+    assert read_history(life.folder).events == events
+
+
+def test_a_start_accepts_a_history_whose_newest_row_has_changed_since(line):
+    history = read_history(line.folder)
+    with line.catalogue() as catalogue:
+        newest = max(row.id for row in catalogue.rows(EventRow) if row.kind == "set_assessed")
+        history.events = {number: row for number, row in history.events.items() if number <= newest}
+        history.events[newest] = replace(history.events[newest], payload={"in_baseline": True})
+        assert lacks_rows_of(history, catalogue) == ""
+        history.events[newest] = replace(history.events[newest], wall_utc_ns=1)
+        assert "has lost rows" in lacks_rows_of(history, catalogue)
+
+
+def test_an_event_whose_row_is_lost_is_reported_and_rebuilt_from_the_history(line):
+    before = table_rows(line.folder)
+    assert change(line.folder, "DELETE FROM assessments WHERE position = 'B' AND NOT in_baseline") > 0
+    with (
+        open_catalogue(line.folder) as catalogue,
+        pytest.raises(CatalogueDamagedError, match="lacks its row"),
+    ):
+        catalogue.rows(EventRow)
+    lost = [found for found in catalogue_corruption(line.folder) if found.table == "events"]
+    assert lost
+    assert all("lacks its row of table assessments" in found.description for found in lost)
+    sound = read_sound_rows(line.folder).events
+    assert not sound.keys() & {found.row_id for found in lost}
+    rebuild(line.folder, features_of=line.features_of)
+    assert table_rows(line.folder) == before
+
+
+def test_a_page_of_events_reads_each_table_once(life):
+    with life.catalogue() as catalogue:
+        statements = []
+
+        @event.listens_for(catalogue._engine, "before_cursor_execute")
+        def count(connection, cursor, sql, *_rest):
+            statements.append(sql)
+
+        page = catalogue.events_after(0, limit=500)
+    kinds = {ROW_OF_EVENT[row.kind] for row in page if row.kind in ROW_OF_EVENT}
+    assert len({row.set_index for row in page}) > 10
+    assert len([sql for sql in statements if sql.startswith("SELECT")]) == 1 + len(kinds)
