@@ -384,7 +384,7 @@ def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -
             its_set = (
                 assessments.c.position == row.position,
                 assessments.c.set_index == row.set_index,
-                in_plan(assessments),
+                assessments.c.unscheduled_index == row.unscheduled_index,
             )
             statement = select(assessments.c.id).where(*its_set, assessments.c.in_baseline)
             stored_id = connection.execute(statement).scalar()

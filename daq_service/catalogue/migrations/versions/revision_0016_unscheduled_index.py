@@ -23,8 +23,8 @@ _OF_SETS = ("sets", "shots", "features", "thickness", "assessments")
 """Tables with the key; one that refers to another follows it."""
 _SETS_OF_A_PLAN = 10_000_000
 """An unscheduled set had the index of the scheduled one before it and this number times its own number."""
-_LARGE = f'*set_index":{"[0-9]" * 8}*'
-"""JSON text with such an index."""
+_LARGE = [f'*set_index":{space}{"[0-9]" * 8}*' for space in ("", " ")]
+"""JSON texts with such an index."""
 
 
 def upgrade() -> None:
@@ -63,7 +63,7 @@ def _split_rows(table: str, index: str, number: str, nested: str) -> None:
     driver.create_function("current_json", 1, _current_json, deterministic=True)
     _add_column(table, number)
     _split(table, index, number)
-    has_large = f"{nested} GLOB '{_LARGE}'"
+    has_large = " OR ".join(f"{nested} GLOB '{large}'" for large in _LARGE)
     _execute(f"UPDATE {table} SET {nested} = current_json({nested}), row_crc32 = NULL WHERE {has_large}")
 
 
