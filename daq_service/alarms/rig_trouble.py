@@ -51,7 +51,11 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
         priority="high",
         present=bool(trouble or unanswered),
         message=f"set {due.set_key} {event}: {message}; {outlook}",
-        evidence={**due.set_key._asdict(), "error": error},
+        evidence={
+            "set_index": due.set_index,
+            "unscheduled_index": due.unscheduled_index,
+            "error": error,
+        },
     )
 
 

@@ -199,13 +199,13 @@ def test_tiles_give_the_same_waterfall_and_the_service_writes_none(api, filled):
     queries = ["B?rows=50", "B?rows=3&align=isw", "A?columns=9&align=first_echo", "D?as=difference"]
     before = [read(api.get(f"/api/v1/waterfall/{query}")) for query in queries]
     assert not (filled.folder / TILES_FOLDER).exists()
-    files = {index: f"sets/{path.name}" for index, path in set_files(filled.folder).items()}
+    files = {SetKey(index): f"sets/{path.name}" for index, path in set_files(filled.folder).items()}
     name = experiment_identity(filled.catalogue.experiment_row())
     corruption = rebuild_tiles(
         filled.folder,
         name,
         files,
-        lambda index: results_in(filled.catalogue, SetKey(index)),
+        lambda key: results_in(filled.catalogue, key),
         lambda done, of: None,
     )
     assert corruption == []
