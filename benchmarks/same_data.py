@@ -35,6 +35,8 @@ BY_KEY = {"set_index", "title", "entry_identifier_uuid"}
 """Datasets of an unscheduled set that show its key, which was one number; its rows have the same key."""
 TIMELESS = ADDED | {
     "row_crc32",
+    "file_sha256",
+    "wall_utc_ns",
     "finished_wall_utc_ns",
     "created_utc_ns",
     "solimon_version",

@@ -10,12 +10,15 @@ from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
+
+if TYPE_CHECKING:
+    from daq_service.archive import SetRecord
 
 
 class PhaseLike(Protocol):
@@ -98,3 +101,14 @@ def plan(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None 
         DueSet(set_index=index, due_h=hour, due_utc_ns=epoch_utc_ns + round(hour * NS_PER_H))
         for index, hour in enumerate(due_hours(phases, end_h=end_h))
     ]
+
+
+def due_of(record: SetRecord) -> DueSet:
+    """Return the due time of a stored set, and the position of an unscheduled one."""
+    return DueSet(
+        set_index=record.set_index,
+        unscheduled_index=record.unscheduled_index,
+        due_h=record.due_h,
+        due_utc_ns=record.due_utc_ns,
+        position=record.positions[0].position if record.unscheduled_index else None,
+    )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 from daq_service.alarms.states import Condition, Moment
@@ -12,7 +11,6 @@ from hardware_drivers.nanoseconds import NS_PER_S
 
 DELAY_EVENT = "alarm_delay"
 """Event that contains the start of an alarm's delay, or its end."""
-AT_ONCE = AlarmKindSettings()
 
 
 def apply_delays(
@@ -20,7 +18,7 @@ def apply_delays(
     condition: Condition,
     since_ns: int | None,
     moment: Moment,
-    kinds: Mapping[str, AlarmKindSettings],
+    rule: AlarmKindSettings,
 ) -> tuple[Condition | None, int | None]:
     """Apply delay and deadband to the condition of an alarm.
 
@@ -30,8 +28,8 @@ def apply_delays(
         The latest alarm of this position and kind, or None.
     since_ns
         Start of the running delay, ns of UTC on the experiment's clock; None if none runs.
-    kinds
-        Delays and deadbands by kind (`alarms.kinds`); a kind that is absent has none.
+    rule
+        Delays and deadband of its kind (`alarms.kinds`).
 
     Returns
     -------
@@ -40,7 +38,6 @@ def apply_delays(
     int or None
         New value of ``since_ns``.
     """
-    rule = kinds.get(condition.kind, AT_ONCE)
     is_active = row is not None and row.state in ("unacknowledged", "acknowledged")
     # An unknown quantity has not returned to normal.
     is_below_deadband = (

@@ -10,6 +10,7 @@ from daq_service.alarms.states import Condition
 from daq_service.archive import MissedRecord
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
 
+RIG_UNAVAILABLE = "instruments_unavailable"
 PASSING = (BusyError.__name__, ConnectionLostError.__name__)
 """Errors that may be gone at the next set: a busy board may be free, a lost connection restored."""
 
@@ -47,7 +48,7 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
     if error not in PASSING and not proven:
         outlook = "the recorder has stopped: mend the cause and start it again; it goes on with the schedule"
     return Condition(
-        kind="instruments_unavailable",
+        kind=RIG_UNAVAILABLE,
         priority="high",
         present=bool(trouble or unanswered),
         message=f"set {due.set_key} {event}: {message}; {outlook}",
@@ -62,7 +63,7 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
 def opening_condition(trouble: InstrumentError | None) -> Condition:
     """Return the condition of a started test that waits for its rig to open; its evidence has no set."""
     return Condition(
-        kind="instruments_unavailable",
+        kind=RIG_UNAVAILABLE,
         priority="high",
         present=trouble is not None,
         message=f"the rig cannot be opened: {trouble}; the recorder tries again until it can",

@@ -11,7 +11,7 @@
         acknowledge
 
 An alarm may also be suppressed: shelved for a limited time, or out of service until a person returns it. Its
-state changes as usual meanwhile (`without_expired_shelf`).
+state changes as usual meanwhile (`operator_actions`).
 
 A latched alarm (a hole does not heal) returns to normal only by a person's reset.
 Priority is kept at the highest reached until the alarm is acknowledged.
@@ -25,26 +25,18 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from daq_service.catalogue.rows import AlarmClass, AlarmRow, AlarmState, Priority, Suppression
+from daq_service.catalogue.rows import AlarmClass, AlarmRow, AlarmState, Priority
 from hardware_drivers.measurement import SetKey
-from hardware_drivers.nanoseconds import NS_PER_H
 
 PRIORITIES: tuple[Priority, ...] = ("low", "medium", "high", "critical")
-AFTER_ACKNOWLEDGEMENT: Mapping[str, AlarmState] = {
-    "unacknowledged": "acknowledged",
-    "returned_unacknowledged": "normal",
-}
-"""States that wait for an operator, and the state after the acknowledgement."""
 SUPPRESSION = (
     *("suppressed", "suppressed_by", "suppressed_reason"),
     *("shelved_until_utc_ns", "shelved_until_wall_utc_ns"),
 )
 """Columns of an alarm about its suppression."""
 NOT_SUPPRESSED: Mapping[str, Any] = MappingProxyType(dict.fromkeys(SUPPRESSION))
-LONGEST_SHELF_H = 72.0
-"""Maximum time of a shelf: a weekend."""
 RETIRING = ("no_reflection", "transducer_disabled")
-"""Kinds of alarm that stop a transducer's strikes until a person reinstates it."""
+"""Kinds of alarm that stop a transducer's strikes until a person enables it."""
 ALARMS_OF_CHANGE = ("wall_change", "transducer_change")
 """Kinds of alarm with the result of a confirmation set in their evidence; the diagnosis selects one."""
 NOT_ASSESSED = "not_assessed"
@@ -139,12 +131,12 @@ def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change
     if condition.present:
         if row.state == "returned_unacknowledged":
             updated = _updated_columns(row, condition)
-            return _change_state(
+            return change_state(
                 row, "unacknowledged", moment, "alarm_reactivated", cleared_utc_ns=None, **updated
             )
         is_more_severe = PRIORITIES.index(condition.priority) > PRIORITIES.index(row.priority)
         if is_more_severe or condition.known not in ("", row.evidence.get("known")):
-            return _change_state(
+            return change_state(
                 row,
                 "unacknowledged",
                 moment,
@@ -157,147 +149,19 @@ def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change
     if condition.latched:
         return None
     if row.state == "unacknowledged":
-        return _change_state(
+        return change_state(
             row, "returned_unacknowledged", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns
         )
     if row.state == "acknowledged":
-        return _change_state(row, "normal", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
+        return change_state(row, "normal", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
     return None
-
-
-def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
-    """Acknowledge an alarm.
-
-    Raises
-    ------
-    ValueError
-        The alarm is not waiting for an acknowledgement.
-    """
-    if row.state not in AFTER_ACKNOWLEDGEMENT:
-        raise ValueError(f"alarm {row.id} is {row.state}: there is nothing to acknowledge")
-    return _change_state(
-        row,
-        AFTER_ACKNOWLEDGEMENT[row.state],
-        moment,
-        "alarm_acknowledged",
-        acknowledged_utc_ns=moment.utc_ns,
-        acknowledged_by=author,
-        note=note,
-    )
-
-
-def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
-    """Reset an alarm: a person has removed its cause, or ends its monitoring.
-
-    Raises
-    ------
-    ValueError
-        The alarm has ended already.
-    """
-    if row.state == "normal":
-        raise ValueError(f"alarm {row.id} has ended already: there is nothing to reset")
-    change = _change_state(
-        row,
-        "normal",
-        moment,
-        "alarm_reset",
-        cleared_utc_ns=moment.utc_ns,
-        acknowledged_utc_ns=row.acknowledged_utc_ns or moment.utc_ns,
-        acknowledged_by=row.acknowledged_by or author,
-        note=note or row.note,
-    )
-    return replace(change, author=author)
 
 
 def add_evidence(row: AlarmRow, evidence: Mapping[str, object], moment: Moment) -> Change:
     """Add later results to the evidence of an alarm; its state does not change."""
-    return _change_state(
+    return change_state(
         row, row.state, moment, "alarm_evidence_added", evidence=row.evidence | dict(evidence)
     )
-
-
-def without_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> AlarmRow:
-    """Return the row as it is at a moment: without its shelf if that has expired.
-
-    Parameters
-    ----------
-    utc_ns, wall_utc_ns
-        Current time on the experiment's clock, and in real time.
-    """
-    ends_ns, ends_wall_ns = row.shelved_until_utc_ns, row.shelved_until_wall_utc_ns
-    if row.suppressed != "shelved" or ends_ns is None or ends_wall_ns is None:
-        return row
-    has_expired = utc_ns >= ends_ns or wall_utc_ns >= ends_wall_ns
-    return replace(row, **NOT_SUPPRESSED) if has_expired else row
-
-
-def end_expired_shelf(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change | None:
-    """End an expired shelf; None if there is none."""
-    current_row = without_expired_shelf(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
-    return (
-        None if current_row is row else _change_state(current_row, row.state, moment, "alarm_shelf_expired")
-    )
-
-
-def shelve(row: AlarmRow, author: str, reason: str, for_h: float, moment: Moment, wall_utc_ns: int) -> Change:
-    """Shelve an alarm for a number of hours of the test or of real time, whichever end first.
-
-    Raises
-    ------
-    ValueError
-        The alarm has ended, or is out of service.
-    """
-    if row.state == "normal":
-        raise ValueError(f"alarm {row.id} has ended: there is nothing to shelve")
-    if row.suppressed == "out_of_service":
-        raise ValueError(f"alarm {row.id} is out of service: return it to service first")
-    length_ns = round(for_h * NS_PER_H)
-    return _change_state(
-        row,
-        row.state,
-        moment,
-        "alarm_shelved",
-        suppressed="shelved",
-        suppressed_by=author,
-        suppressed_reason=reason,
-        shelved_until_utc_ns=moment.utc_ns + length_ns,
-        shelved_until_wall_utc_ns=wall_utc_ns + length_ns,
-    )
-
-
-def take_out_of_service(row: AlarmRow, author: str, reason: str, moment: Moment) -> Change:
-    """Take an alarm out of service until a person returns it.
-
-    Raises
-    ------
-    ValueError
-        It is out of service already.
-    """
-    if row.suppressed == "out_of_service":
-        raise ValueError(f"alarm {row.id} is out of service already: {row.suppressed_reason}")
-    columns = {
-        **NOT_SUPPRESSED,
-        "suppressed": "out_of_service",
-        "suppressed_by": author,
-        "suppressed_reason": reason,
-    }
-    return _change_state(row, row.state, moment, "alarm_out_of_service", **columns)
-
-
-def end_suppression(row: AlarmRow, wanted: Suppression, author: str, note: str, moment: Moment) -> Change:
-    """Unshelve an alarm, or return it to service.
-
-    Raises
-    ------
-    ValueError
-        It is not suppressed in that way.
-    """
-    if row.suppressed != wanted:
-        raise ValueError(f"alarm {row.id} is not {wanted.replace('_', ' ')}")
-    event_kind = "alarm_unshelved" if wanted == "shelved" else "alarm_in_service"
-    # The name of the person who ended it stays in the row until the next suppression.
-    columns = {**NOT_SUPPRESSED, "suppressed_by": author, "suppressed_reason": note or None}
-    return _change_state(row, row.state, moment, event_kind, **columns)
 
 
 def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
@@ -327,9 +191,8 @@ def _evidence_of(condition: Condition) -> dict[str, Any]:
     return dict(condition.evidence) | ({"known": condition.known} if condition.known else {})
 
 
-def _change_state(
-    row: AlarmRow, state: AlarmState, moment: Moment, event_kind: str, **changed: Any
-) -> Change:
+def change_state(row: AlarmRow, state: AlarmState, moment: Moment, event_kind: str, **changed: Any) -> Change:
+    """Return the change of an alarm to a state, with further changed columns."""
     return Change(
         row=replace(row, **changed, state=state, changed_utc_ns=moment.utc_ns), event_kind=event_kind
     )

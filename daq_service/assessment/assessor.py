@@ -104,10 +104,6 @@ class Assessor(Protocol):
         """Assess a set without any record; ``n_tried`` shots were tried, repetitions not counted."""
         ...
 
-    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
-        """Update the state with a set by its rows; return the assessments of a baseline that it completes."""
-        ...
-
-    def reinstate(self) -> None:
-        """Clear the faults that retired the transducer, because a person has reinstated it."""
+    def enable(self) -> None:
+        """Clear the faults that retired the transducer, because a person has enabled it."""
         ...

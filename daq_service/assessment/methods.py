@@ -15,7 +15,7 @@ from daq_service.assessment.assessor import Assessor
 from daq_service.assessment.restore_state import restored_pulse_echo, restored_solitary_wave
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rows import MEASURED_BY, FeatureRow, ThicknessRow, measured
+from daq_service.catalogue.rows import MEASURED, MEASURED_BY, FeatureRow, ThicknessRow
 from daq_service.settings.tree import ScheduleSettings, Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 
@@ -46,7 +46,7 @@ class MeasuringMethod:
     @property
     def values(self) -> tuple[str, ...]:
         """Return the names of the measured values, with units in the names."""
-        return measured(self.row)
+        return MEASURED[self.row]
 
 
 METHODS: Mapping[Method, MeasuringMethod] = MappingProxyType(

@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-import logging
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from analysis.errors import AnalysisError
 from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
-from analysis.ultrasound.thickness import (
-    EXTRACTOR_VERSION,
-    EchoReference,
-    ThicknessInterval,
-    reference_echo,
-    substitute_reference,
-    thickness,
-    thickness_interval,
-    travel_time,
-)
+from analysis.ultrasound.reading import EchoReading, read_echo
+from analysis.ultrasound.thickness import EXTRACTOR_VERSION, EchoReference, reference_echo
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition
-from daq_service.archive import ArchiveError, CorruptArchiveError, SetNotFoundError, SetRecord
-from daq_service.assessment.assessor import PositionResult, StoredResult
-from daq_service.catalogue.rows import AssessmentRow, ThicknessRow
+from daq_service.archive import ArchiveError, SetRecord
+from daq_service.assessment.assessor import PositionResult
+from daq_service.catalogue.rows import MEASURED, ThicknessRow
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, Waveform
-
-log = logging.getLogger(__name__)
 
 FORMULA = "th = th0 - (UT0 - UT) / (UT0 - D) th0, equation 17"
 
@@ -55,56 +44,21 @@ class PulseEchoAssessor:
     def __init__(self, position: str, settings: Settings) -> None:
         self.position = position
         self._settings = settings
+        self.initial_thickness_m = settings.ultrasound.initial_thickness_m
         self._rule = AlarmRule(k=settings.alarms.k, n=settings.alarms.n)
         self.state = PulseEchoState()
         self.lost: tuple[ThicknessRow, ArchiveError] | None = None
 
-    def follow(self, stored: StoredResult) -> Sequence[AssessmentRow]:
-        """Update the state with a stored reading; only a reference is taken from its record."""
-        reading = stored.result
-        if not isinstance(reading, ThicknessRow):
-            return ()
-        if self.state.reference is None:
-            self._follow_reference(stored, reading)
-        self._add(reading)
-        return ()
-
-    def _follow_reference(self, stored: StoredResult, reading: ThicknessRow) -> None:
-        """Take the reference from a stored record; if the first one is lost, from the next good reading."""
-        if self.lost is not None and (reading.quality != "good" or reading.thickness_m is None):
-            return
-        try:
-            waveform = stored.waveform()
-            if self.lost is None:
-                self._set_reference(self._echo_of(waveform, self._settings.ultrasound.initial_thickness_m))
-                return
-            first, error = self.lost
-            assert reading.travel_time_s is not None
-            assert reading.thickness_m is not None
-            assert first.travel_time_s is not None
-            substitute = substitute_reference(
-                self._echo_of(waveform, reading.thickness_m),
-                travel_time_s=reading.travel_time_s,
-                reference_travel_time_s=first.travel_time_s,
-            )
-        except AnalysisError:  # it has no echo
-            return
-        except (CorruptArchiveError, SetNotFoundError) as unreadable:
-            if self.lost is None and reading.travel_time_s is not None:
-                self.lost = reading, unreadable
-            return
-        log.warning("set %d stands in for the reference of %s: %s", reading.set_index, self.position, error)
-        self._set_reference(substitute)
-
-    def _set_reference(self, reference: EchoReference) -> None:
+    def set_reference(self, reference: EchoReference) -> None:
+        """Measure from this echo."""
         self.state = replace(self.state, reference=reference)
 
-    def _add(self, row: ThicknessRow) -> None:
+    def add(self, row: ThicknessRow) -> None:
         """Update the alarm state with a reading."""
         alarm = next_alarm_state(self.state.alarm, self.too_thin(row), self._rule)
         self.state = replace(self.state, alarm=alarm)
 
-    def reinstate(self) -> None:
+    def enable(self) -> None:
         """Do nothing, because a probe is never retired."""
 
     def assess_set(
@@ -134,63 +88,47 @@ class PulseEchoAssessor:
     def assess(self, due: DueSet, echo: PulseEchoRecord) -> PositionResult:
         """Compute the thickness of one record and the condition of its alarm."""
         settings = self._settings.ultrasound
+        try:
+            reference = self.state.reference
+            if reference is None:
+                reference = self.echo_of(echo.waveform, settings.initial_thickness_m)
+                self.set_reference(reference)
+            reading = read_echo(
+                echo.waveform,
+                reference,
+                delay_s=settings.delay_s,
+                initial_thickness_m=settings.initial_thickness_m,
+                element_separation_m=settings.element_separation_m,
+            )
+        except AnalysisError as error:
+            reading = EchoReading(reason=str(error))
+        flags = _flags(reading, echo)
+        if "clipped" in flags and reading.quality == "good":
+            # Both half-waves of the carrier are clipped alike: the time is right, the amplitude is not.
+            reason = "the record is clipped: lower the gain or take a larger range"
+            reading = replace(reading, quality="suspect", reason=reason)
         row = ThicknessRow(
             set_index=due.set_index,
             position=self.position,
             sequence=echo.sequence,
             due_h=due.due_h,
             extractor_version=EXTRACTOR_VERSION,
-            quality="bad",
+            quality=reading.quality,
+            **{name: getattr(reading, name) for name in MEASURED[ThicknessRow]},
         )
-        reason = ""
-        interval: ThicknessInterval | None = None
-        try:
-            reference = self.state.reference
-            if reference is None:
-                reference = self._echo_of(echo.waveform, settings.initial_thickness_m)
-                self._set_reference(reference)
-            travel = travel_time(echo.waveform, reference)
-            wall = thickness(
-                travel.travel_time_s,
-                reference.travel_time_s,
-                settings.delay_s,
-                settings.initial_thickness_m,
-                settings.element_separation_m,
-            )
-            interval = thickness_interval(
-                travel, reference, settings.initial_thickness_m, settings.element_separation_m
-            )
-        except AnalysisError as error:
-            reason = str(error)
-        else:
-            reason = travel.reason
-            row = replace(
-                row,
-                quality=travel.quality,
-                travel_time_s=_finite_or_none(travel.travel_time_s),
-                thickness_m=_finite_or_none(wall.thickness_m),
-                thickness_loss_m=_finite_or_none(wall.thickness_loss_m),
-                correlation_coefficient=_finite_or_none(travel.correlation_coefficient),
-                interval_low_m=_finite_or_none(interval.low_m),
-                interval_high_m=_finite_or_none(interval.high_m),
-            )
-        flags = _flags(row, echo)
-        if "clipped" in flags and row.quality == "good":
-            # Both half-waves of the carrier are clipped alike: the time is right, the amplitude is not.
-            row = replace(row, quality="suspect")
-            reason = "the record is clipped: lower the gain or take a larger range"
-        self._add(row)
+        self.add(row)
         usable = row.quality != "bad"
         return PositionResult(
             thickness=[row],
-            conditions=[self._condition(due, row, interval)],
+            conditions=[self._condition(due, row, reading)],
             n_valid=int(usable),
             shot_flags={echo.sequence: flags},
             invalid=frozenset(() if usable else (echo.sequence,)),
-            note=reason,
+            note=reading.reason,
         )
 
-    def _echo_of(self, waveform: Waveform, thickness_m: float) -> EchoReference:
+    def echo_of(self, waveform: Waveform, thickness_m: float) -> EchoReference:
+        """Return the echo of a wall of known thickness as a reference."""
         settings = self._settings.ultrasound
         return reference_echo(
             waveform,
@@ -210,7 +148,7 @@ class PulseEchoAssessor:
     def _limit_loss_m(self) -> float:
         return self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
 
-    def _condition(self, due: DueSet, row: ThicknessRow, interval: ThicknessInterval | None) -> Condition:
+    def _condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
         fraction = self._settings.alarms.thickness_loss_fraction
         initial_m = self._settings.ultrasound.initial_thickness_m
         remaining_m, loss_m = row.thickness_m, row.thickness_loss_m
@@ -233,9 +171,9 @@ class PulseEchoAssessor:
                 "rule": {"k": self._rule.k, "n": self._rule.n},
                 "set_index": due.set_index,
                 "thickness_m": remaining_m,
-                "interval_m": None if remaining_m is None or interval is None else _interval_limits(interval),
-                "roughness_rms_m": None if interval is None else _finite_or_none(interval.roughness_rms_m),
-                "limit_m": self._settings.thinnest_m,
+                "interval_m": None if remaining_m is None else [row.interval_low_m, row.interval_high_m],
+                "roughness_rms_m": reading.roughness_rms_m,
+                "limit_m": (1.0 - fraction) * initial_m,
                 "travel_time_s": row.travel_time_s,
                 "reference_travel_time_s": None if reference is None else reference.travel_time_s,
                 "delay_s": self._settings.ultrasound.delay_s,
@@ -244,17 +182,7 @@ class PulseEchoAssessor:
         )
 
 
-def _finite_or_none(value: float) -> float | None:
-    """Return a finite value, or None."""
-    return value if math.isfinite(value) else None
-
-
-def _interval_limits(interval: ThicknessInterval) -> list[float]:
-    """Return the limits of the 95 % interval of the mean thickness under the beam, in m."""
-    return [interval.low_m, interval.high_m]
-
-
-def _flags(row: ThicknessRow, echo: PulseEchoRecord) -> tuple[str, ...]:
+def _flags(reading: EchoReading, echo: PulseEchoRecord) -> tuple[str, ...]:
     """Return the flags of an echo; only the instrument knows whether averaged records were clipped."""
     clipped = echo.waveform.clipped or float(echo.settings.get("clipped_records", 0.0)) > 0.0
-    return (("no_echo",) if row.quality == "bad" else ()) + (("clipped",) if clipped else ())
+    return (("no_echo",) if reading.quality == "bad" else ()) + (("clipped",) if clipped else ())

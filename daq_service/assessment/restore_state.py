@@ -89,6 +89,8 @@ def _restored(assessor: A, settings: Settings, catalogue: Catalogue, archive: Se
 
 def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetReader) -> None:
     """Update the state of a new assessor with all stored sets in the order of their commits."""
+    from daq_service.assessment.follow_rows import follow
+
     position = assessor.position
     results: dict[SetKey, FeatureRow | ThicknessRow] = {
         row.set_key: row
@@ -98,21 +100,22 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
         )
         for row in rows
     }
-    enabled_at = _first_sets_after_reinstatements(position, catalogue)
+    enabled_at = _first_sets_after_enabling(position, catalogue)
     for row in sorted(catalogue.rows(SetRow, position=position, purpose="any"), key=lambda row: row.id or 0):
         if row.set_key in enabled_at:
-            assessor.reinstate()
+            assessor.enable()
         if is_assessed(row):
-            assessor.follow(
+            follow(
+                assessor,
                 StoredResult(
                     its_set=row,
                     result=results.get(row.set_key),
                     flags=_accepted_flags(catalogue, row),
                     waveform=partial(first_waveform, archive, row),
-                )
+                ),
             )
     if NEVER in enabled_at:
-        assessor.reinstate()
+        assessor.enable()
 
 
 def is_assessed(row: SetRow) -> bool:
@@ -135,8 +138,8 @@ def _accepted_flags(catalogue: Catalogue, row: SetRow) -> list[list[str]]:
     return [shot.flags for shot in shots if shot.outcome == ACCEPTED]
 
 
-def _first_sets_after_reinstatements(position: str, catalogue: Catalogue) -> set[SetKey]:
-    """Return the sets that were committed first after a transducer was reinstated; `NEVER`: none was."""
+def _first_sets_after_enabling(position: str, catalogue: Catalogue) -> set[SetKey]:
+    """Return the sets that were committed first after a transducer was enabled; `NEVER`: none was."""
     found = set[SetKey]()
     for event in catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position=position):
         if event.payload["kind"] in RETIRING:

@@ -9,7 +9,7 @@ from typing import Any
 from daq_service.archive import Results
 from daq_service.archive.layout import RESULTS
 from daq_service.catalogue import Catalogue, RecorderCatalogue
-from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow, measured
+from daq_service.catalogue.rows import MEASURED, FeatureRow, SetRow, ShotRow, ThicknessRow
 from hardware_drivers.measurement import SetKey
 
 MADE_BY = "extractor_version"
@@ -45,7 +45,7 @@ def results_of(
         shot = shot_of.get(row.sequence)
         if shot is None and (isinstance(row, ThicknessRow) or row.sequence is not None):
             continue  # its record is lost
-        columns: dict[str, Any] = {name: _nan_if_none(getattr(row, name)) for name in measured(type(row))}
+        columns: dict[str, Any] = {name: _nan_if_none(getattr(row, name)) for name in MEASURED[type(row)]}
         columns |= {"position": row.position, "quality": row.quality, MADE_BY: row.extractor_version}
         if shot is not None:
             columns |= {

@@ -12,8 +12,6 @@ from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import waveform_crc32
 from daq_service.assessment.assessor import PositionResult
-from daq_service.catalogue import SetCommit
-from daq_service.catalogue.reported_rows import reported
 from daq_service.catalogue.rows import (
     AnnotationRow,
     BaselineRow,
@@ -22,8 +20,8 @@ from daq_service.catalogue.rows import (
     Outcome,
     SetRow,
     ShotRow,
-    payload_of,
 )
+from daq_service.catalogue.writer import SetCommit, payload_of
 from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot
 
 
@@ -72,12 +70,13 @@ class Transaction(SetCommit):
         add_event = partial(
             self._add_event, moment=moment, position=its_set.position, set_key=its_set.set_key
         )
-        add_event("sets", f"set_{its_set.state}", reported(its_set))
+        # A reader joins the row, so the event holds no copy; that of a collecting baseline is replaced later.
+        add_event("sets", f"set_{its_set.state}", {})
         for feature in position_result.features:
             if feature.shot_index is None:
-                add_event("features", "set_features", reported(feature))
-        for thickness in position_result.thickness:
-            add_event("thickness", "thickness_read", reported(thickness))
+                add_event("features", "set_features", {})
+        if position_result.thickness:
+            add_event("thickness", "thickness_read", {})
         if position_result.baseline is not None:
             approved_ns = moment.utc_ns if position_result.baseline.state == "approved" else None
             baseline = replace(
@@ -87,14 +86,12 @@ class Transaction(SetCommit):
             payload = payload_of(baseline, last="created_utc_ns")
             add_event("assessments", "baseline_frozen", payload)
         for assessment in position_result.assessments[-1:]:
-            add_event("assessments", "set_assessed", reported(assessment))
+            add_event("assessments", "set_assessed", payload_of(assessment) if assessment.in_baseline else {})
 
     def add_environment(self, row: EnvironmentRow, moment: Moment) -> None:
         """Add the readings of supply and climate probe around a set."""
         self.environment.append(row)
-        self._add_event(
-            "environment", "environment_read", reported(row), moment, set_key=SetKey(row.set_index)
-        )
+        self._add_event("environment", "environment_read", {}, moment, set_key=SetKey(row.set_index))
 
     def add_event(
         self,

@@ -9,12 +9,12 @@ from pathlib import Path
 from sqlalchemy import Connection, Table, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
-from daq_service.catalogue.connection import FILE_NAME, REMEDY, make_engine
+from daq_service.catalogue.connection import FILE_NAME, make_engine
 from daq_service.catalogue.errors import CatalogueDamagedError
 from daq_service.catalogue.reported_rows import lost_rows
-from daq_service.catalogue.row_checksum import DamagedRow, checked
 from daq_service.catalogue.rows import Row
-from daq_service.catalogue.tables import KINDS, events, table_of
+from daq_service.catalogue.stored_rows import REMEDY, DamagedRow, checked
+from daq_service.catalogue.tables import KINDS, TABLES, events
 
 UNREADABLE = (SQLAlchemyError, UnicodeDecodeError)
 """Errors on reading a corrupt file; SQLite may return a corrupt name that is no text."""
@@ -82,7 +82,7 @@ def corruption_in(connection: Connection, *, rows: bool = True) -> Iterator[Cata
     if not rows:
         return
     for kind in KINDS:
-        yield from _damaged_rows(connection, kind, table_of(kind))
+        yield from _damaged_rows(connection, kind, TABLES[kind])
     try:
         for event_id, description in lost_rows(connection):
             yield CatalogueCorruption(table=events.name, row_id=event_id, description=description)

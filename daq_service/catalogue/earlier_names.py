@@ -79,6 +79,12 @@ _VALUES: Mapping[tuple[str, str], Mapping[str, str]] = {
     ("events", "topic"): TOPICS,
     ("events", "kind"): EVENT_KINDS,
     ("commands", "kind"): COMMAND_KINDS,
+    ("commands", "state"): {"refused": "rejected"},
+    **{
+        (table, name): {"lost": "no_communication"}
+        for table in ("environment", "evidence")
+        for name in ("supply_quality", "climate_quality")
+    },
 }
 _NESTED = ("baseline_quality", "evidence", "confirmation")
 SET_COLUMNS: Mapping[str, str] = MappingProxyType(

@@ -84,9 +84,8 @@ def described_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
     """Return the published columns of a kind of row, with times of hours and added columns."""
     columns: dict[str, PublishedColumn] = {}
     for column in columns_of(kind):
-        name, form = column.name, _form(column.type)
-        if name == "utc_ns" or name.endswith("_utc_ns"):
-            name, form = name.removesuffix("_ns"), "time"
+        name = column.published_name
+        form = _form(column.type) if name == column.name else "time"
         unit = unit_of(name) if form in ("number", "integer") else ""
         columns[name] = PublishedColumn(name=name, form=form, unit=unit, nullable=column.nullable)
     for hours in [column for column in columns.values() if column.unit == "h"]:

@@ -12,11 +12,10 @@ from typing import Any, Literal, Self, TypedDict, TypeVar, Unpack
 
 import sqlalchemy as sa
 
-from daq_service.catalogue.connection import make_engine, translated, writing
+from daq_service.catalogue.connection import make_engine
 from daq_service.catalogue.errors import CatalogueError, NoDataYetError
 from daq_service.catalogue.published_columns import Purposes
 from daq_service.catalogue.reported_rows import with_rows
-from daq_service.catalogue.row_checksum import checked_rows, checked_values, storable
 from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
@@ -32,8 +31,10 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     values,
 )
+from daq_service.catalogue.stored_rows import checked_rows, checked_values, storable, translated, writing
 from daq_service.catalogue.tables import (
     RARE_TOPICS,
+    TABLES,
     alarms,
     annotated,
     commands,
@@ -41,7 +42,6 @@ from daq_service.catalogue.tables import (
     events,
     features,
     sets,
-    table_of,
 )
 from daq_service.clock import boot_name, elapsed_ns
 from hardware_drivers.measurement import SetKey
@@ -207,7 +207,7 @@ class Catalogue:
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
     ) -> list[R]:
         """Return the rows of the last sets of a position (None: of all), in the order of the sets."""
-        table = table_of(kind)
+        table = TABLES[kind]
         statement = filtered(sa.select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(*(column.desc() for column in _key_of(table)))
         return self._rows(kind, newest_first.limit(count))[::-1]
@@ -238,7 +238,7 @@ class Catalogue:
 
     def first_reading(self, position: str) -> ThicknessRow | None:
         """Return the first pulse-echo result with a travel time; None before it."""
-        table = table_of(ThicknessRow)
+        table = TABLES[ThicknessRow]
         statement = filtered(sa.select(table), table, {"position": position})
         rows = self._rows(ThicknessRow, statement.where(table.c.travel_time_s.is_not(None)).limit(1))
         return rows[0] if rows else None
@@ -264,7 +264,7 @@ class Catalogue:
             A name is no column of the table.
         """
         if unknown := set(names) - set(kind.__slots__):
-            of_table = f"{table_of(kind).name!r}; it has {sorted(kind.__slots__)}"
+            of_table = f"{TABLES[kind].name!r}; it has {sorted(kind.__slots__)}"
             raise CatalogueError(f"{sorted(unknown)} are no columns of {of_table}")
         if not names:
             return {}
@@ -277,11 +277,11 @@ class Catalogue:
     def _rows(self, kind: type[R], statement: sa.Select[Any]) -> list[R]:
         """Read the rows of a query."""
         with self.reading() as connection:
-            return with_rows(connection, read_rows(connection, kind, statement))
+            return with_rows(connection, list(checked_rows(connection, kind, statement)))
 
     def _newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
         """Return the last stored row that meets a condition; None if there is none."""
-        table = table_of(kind)
+        table = TABLES[kind]
         statement = sa.select(table).order_by(table.c.id.desc()).limit(1)
         rows = self._rows(kind, statement if condition is None else statement.where(condition))
         return rows[0] if rows else None
@@ -319,7 +319,7 @@ class Catalogue:
             ``shots``: solitary-wave shots, ``pulse_echo_records``, ``events``, ``active_alarms``.
         """
         with self.reading() as connection:
-            (row,) = read_rows(connection, CountsRow, sa.select(counts))
+            (row,) = checked_rows(connection, CountsRow, sa.select(counts))
             n_alarms = connection.execute(
                 filtered(sa.select(sa.func.count()), alarms, {"active": True}).order_by(None)
             ).scalar_one()
@@ -354,7 +354,9 @@ class Catalogue:
             last_features = _newest(connection, FeatureRow)
             last_assessments = _newest(connection, AssessmentRow)
             last_thicknesses = _newest(connection, ThicknessRow)
-            active = read_rows(connection, AlarmRow, filtered(sa.select(alarms), alarms, {"active": True}))
+            active = list(
+                checked_rows(connection, AlarmRow, filtered(sa.select(alarms), alarms, {"active": True}))
+            )
         return {
             position: LatestRows(
                 position=position,
@@ -374,7 +376,7 @@ class Catalogue:
 
     def baseline(self, position: str) -> BaselineRow | None:
         """Return the newest baseline of a position."""
-        return self._newest_row(BaselineRow, table_of(BaselineRow).c.position == position)
+        return self._newest_row(BaselineRow, TABLES[BaselineRow].c.position == position)
 
     def newest_baselines(self) -> dict[str, BaselineRow]:
         """Return the newest baseline of each position that has one."""
@@ -383,7 +385,7 @@ class Catalogue:
     def newest_id(self, kind: type[AlarmRow] | type[CommandRow]) -> int:
         """Return the id of the newest row, 0 before the first; ids count from 1 and no row is deleted."""
         with self.reading() as connection:
-            return int(connection.execute(sa.select(sa.func.max(table_of(kind).c.id))).scalar_one() or 0)
+            return int(connection.execute(sa.select(sa.func.max(TABLES[kind].c.id))).scalar_one() or 0)
 
     def alarm(self, alarm_id: int) -> AlarmRow | None:
         """Return one alarm, None where there is no such id."""
@@ -458,37 +460,6 @@ class Catalogue:
         return self._command_engine
 
 
-def _due_time_counts_statement(*of: sa.ColumnElement[bool]) -> sa.Select[int, int, int]:
-    """Return the query that counts due times from their rows."""
-    lacking = sa.case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
-    missed = sa.case((sets.c.state == "missed", 1), else_=0)
-    due_times = sa.select(
-        sa.func.sum(sets.c.n_taken).label("taken"),
-        sa.func.sum(lacking).label("lacking"),
-        sa.func.sum(missed).label("missed"),
-    )
-    found = due_times.where(in_plan(sets), *of).group_by(sets.c.set_index).subquery()
-    has_data = found.c.taken > 0
-    return sa.select(
-        sa.func.count().filter(has_data).label("sets"),
-        sa.func.count().filter(~has_data, found.c.missed > 0).label("missed_sets"),
-        sa.func.count().filter(has_data, found.c.lacking > 0).label("partial_sets"),
-    ).select_from(found)
-
-
-_OF_ALL_SETS = _due_time_counts_statement()
-_OF_SOME_SETS = _due_time_counts_statement(sets.c.set_index.in_(sa.bindparam("indices", expanding=True)))
-
-
-def due_time_counts(connection: sa.Connection, indices: Collection[int] | None = None) -> dict[str, int]:
-    """Count due times (`CountsRow`) from their rows: of some sets, or (None) of all."""
-    if indices is None:
-        found = connection.execute(_OF_ALL_SETS)
-    else:
-        found = connection.execute(_OF_SOME_SETS, {"indices": sorted(indices)})
-    return dict(found.mappings().one())
-
-
 def filtered(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa.Select[Any]:
     """Add filters and order to a query of a table."""
     values = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
@@ -545,17 +516,12 @@ def stored_command(connection: sa.Connection, row: CommandRow) -> int:
 
 def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:
     """Return the query for the filtered rows of a kind."""
-    return filtered(sa.select(table_of(kind)), table_of(kind), filters).limit(limit)
-
-
-def read_rows(connection: sa.Connection, kind: type[R], statement: sa.Select[Any]) -> list[R]:
-    """Read the complete rows of a query and compare each with its checksum."""
-    return list(checked_rows(connection, kind, statement))
+    return filtered(sa.select(TABLES[kind]), TABLES[kind], filters).limit(limit)
 
 
 def _newest(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
     """Return the row of the highest set index of each position in ``sets``."""
-    return {row.position: row for row in read_rows(connection, kind, _newest_of(table_of(kind)))}
+    return {row.position: row for row in checked_rows(connection, kind, _newest_of(TABLES[kind]))}
 
 
 # Statements of several steps: building one takes longer than executing it ------------------------------

@@ -14,8 +14,6 @@ from typing import Any, TypeVar
 import orjson
 import sqlalchemy as sa
 
-from daq_service.catalogue.connection import json_text
-from daq_service.catalogue.row_checksum import DamagedRow, checked_rows
 from daq_service.catalogue.rows import (
     AssessmentRow,
     EnvironmentRow,
@@ -26,11 +24,13 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     values,
 )
-from daq_service.catalogue.tables import events, table_of
+from daq_service.catalogue.stored_rows import DamagedRow, checked_values, json_text
+from daq_service.catalogue.tables import TABLES, events
 from hardware_drivers.measurement import SetKey
 
 R = TypeVar("R", bound=Row)
 Key = tuple[type[Row], str | None, SetKey | None]
+Payload = dict[str, Any]
 
 ROW_OF_EVENT: Mapping[str, type[Row]] = MappingProxyType(
     {
@@ -48,12 +48,17 @@ ROW_OF_EVENT: Mapping[str, type[Row]] = MappingProxyType(
 _SETS_AT_ONCE = 500
 
 
-def reported(row: Row) -> dict[str, Any]:
+def reported(row: Row) -> Payload:
     """Return a row of a set as the payload of its event."""
-    # The SHA-256 comes when the file is made, which differs between two runs of one test.
-    return {
-        name: None if name == "file_sha256" else value for name, value in values(row).items() if name != "id"
-    }
+    return _payload(values(row))
+
+
+def _payload(columns: Payload) -> Payload:
+    """Turn the columns of a row of a set into the payload of its event."""
+    columns.pop("id")
+    if "file_sha256" in columns:  # it comes when the file is made, which differs between two runs of one test
+        columns["file_sha256"] = None
+    return columns
 
 
 def is_joined(event: EventRow) -> bool:
@@ -63,11 +68,7 @@ def is_joined(event: EventRow) -> bool:
 
 def without_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[EventRow]:
     """Return events as they are stored with rows: without a payload that is one of them and never changes."""
-    payloads = {
-        _key_of_row(row): reported(row)
-        for row in rows
-        if not (isinstance(row, AssessmentRow) and row.in_baseline)
-    }
+    payloads = payloads_of(row for row in rows if not (isinstance(row, AssessmentRow) and row.in_baseline))
     return [
         replace(event, payload={})
         if event.payload and _is_part(event.payload, payloads.get(_key(event), {}))
@@ -76,15 +77,19 @@ def without_rows(reports: Iterable[EventRow], rows: Iterable[Row]) -> list[Event
     ]
 
 
-def joined(reports: Iterable[R], rows: Iterable[Row]) -> list[R]:
-    """Return events with the rows that they report; everything else unchanged."""
-    by_key = {_key_of_row(row): row for row in rows}
+def joined(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
+    """Return events with the rows that they report, by their keys; everything else unchanged."""
     return [
-        replace(event, payload=reported(by_key[_key(event)]))
-        if isinstance(event, EventRow) and is_joined(event) and _key(event) in by_key
+        replace(event, payload=payloads[_key(event)])
+        if isinstance(event, EventRow) and is_joined(event) and _key(event) in payloads
         else event
         for event in reports
     ]
+
+
+def payloads_of(rows: Iterable[Row]) -> dict[Key, Payload]:
+    """Return the payloads of the events that report rows, by their keys."""
+    return {_key_of_row(row): reported(row) for row in rows}
 
 
 def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
@@ -96,7 +101,7 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
         The row of an event is lost, or one does not match its checksum.
     """
     reporting = [event for event in reports if isinstance(event, EventRow) and is_joined(event)]
-    rows: list[Row] = []
+    payloads: dict[Key, Payload] = {}
     for kind in dict.fromkeys(ROW_OF_EVENT[event.kind] for event in reporting):
         of_kind = [event for event in reporting if ROW_OF_EVENT[event.kind] is kind]
         positions = sorted({event.position for event in of_kind if event.position is not None})
@@ -104,8 +109,11 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
         for start in range(0, len(indices), _SETS_AT_ONCE):
             some = indices[start : start + _SETS_AT_ONCE]
             statement = _OF_SOME_SETS[kind].params(positions=positions, indices=some)
-            rows += checked_rows(connection, kind, statement)
-    reports = joined(reports, rows) if reporting else reports
+            for stored in checked_values(connection, kind, statement):
+                payload = _payload(dict(zip(kind.__slots__, stored, strict=False)))
+                set_key = SetKey(payload["set_index"], payload.get("unscheduled_index", 0))
+                payloads[kind, payload.get("position"), set_key] = payload
+    reports = joined(reports, payloads) if reporting else reports
     for event in reports:
         if isinstance(event, EventRow) and is_joined(event):
             raise DamagedRow(_lost_row(event.id, ROW_OF_EVENT[event.kind]))
@@ -114,14 +122,14 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
 
 def of_sets(kind: type[Row]) -> sa.Select[Any]:
     """Return the query for the rows of a kind that events report."""
-    table = table_of(kind)
+    table = TABLES[kind]
     statement = sa.select(table)
     return statement.where(table.c.shot_index.is_(None)) if kind is FeatureRow else statement
 
 
 def _of_some_sets(kind: type[Row]) -> sa.Select[Any]:
     """Return the query for the rows of some positions and sets, which finds each in an index."""
-    table = table_of(kind)
+    table = TABLES[kind]
     statement = of_sets(kind).where(table.c.set_index.in_(sa.bindparam("indices", expanding=True)))
     if "position" in table.c:
         return statement.where(table.c.position.in_(sa.bindparam("positions", expanding=True)))
@@ -134,7 +142,7 @@ _OF_SOME_SETS = {kind: _of_some_sets(kind) for kind in ROW_OF_EVENT.values()}
 def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
     """Yield id and description of the events whose row is lost."""
     for event_kind, kind in ROW_OF_EVENT.items():
-        table = table_of(kind)
+        table = TABLES[kind]
         names = [name for name in ("position", *SetKey._fields) if name in table.c]
         of_event = [table.c[name] == events.c[name] for name in names]
         row = of_sets(kind).where(*of_event).correlate(events)
@@ -146,16 +154,16 @@ def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
 
 
 def _lost_row(event_id: int | None, kind: type[Row]) -> str:
-    return f"row {event_id} of table {events.name} lacks its row of table {table_of(kind).name}"
+    return f"row {event_id} of table {events.name} lacks its row of table {TABLES[kind].name}"
 
 
-def _is_part(payload: Mapping[str, Any], columns: Mapping[str, Any]) -> bool:
+def _is_part(payload: Payload, columns: Payload) -> bool:
     """Return whether a payload has no other values than a row: an earlier version had fewer columns."""
     part = {name: columns[name] for name in payload if name in columns}
     return part == payload or _as_stored(part) == _as_stored(payload)
 
 
-def _as_stored(payload: Mapping[str, Any]) -> Any:
+def _as_stored(payload: Payload) -> object:
     """Return a payload as it is read again: what is not finite is not available."""
     return orjson.loads(json_text(payload))
 

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType, NoneType
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
 from hardware_drivers.measurement import Purpose, SetKey
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
@@ -24,9 +24,13 @@ Priority = Literal["low", "medium", "high", "critical"]
 AlarmState = Literal["normal", "unacknowledged", "acknowledged", "returned_unacknowledged"]
 Suppression = Literal["shelved", "out_of_service"]
 BaselineState = Literal["collecting", "proposed", "approved", "retired"]
-CommandState = Literal["pending", "started", "done", "refused", "expired", "failed"]
+CommandState = Literal["pending", "started", "done", "rejected", "expired", "failed"]
 SupplyState = Literal["on", "off", "unknown", "absent"]
-ReadingQuality = Literal["good", "suspect", "stale", "lost", "absent"]
+ReadingQuality = Literal["good", "suspect", "stale", "no_communication", "absent"]
+Position = Annotated[str, "Monitored position, as the configuration names it"]
+SetIndex = Annotated[int, "Index of the scheduled set, from 0"]
+UnscheduledIndex = Annotated[int, "0: the scheduled set itself; n: the n-th unscheduled set after it"]
+DueH = Annotated[float, "Hour of the test at which the set is due"]
 
 
 class Row:
@@ -45,9 +49,10 @@ class RowOfSet(Row):
     """
 
     __slots__ = ()
-    position: str
-    set_index: int
-    unscheduled_index: int
+    if TYPE_CHECKING:  # the columns are those of the rows
+        position: str
+        set_index: int
+        unscheduled_index: int
 
     @property
     def set_key(self) -> SetKey:
@@ -76,22 +81,22 @@ class SetRow(RowOfSet):
     """One set of one position; partial: some records are stored, missed: none."""
 
     id: int | None = None
-    set_index: int
-    unscheduled_index: int = 0
-    position: str
-    method: Method
+    set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
+    position: Position
+    method: Annotated[Method, "Measuring method"]
     due_utc_ns: int
-    due_h: float  # hours since the epoch
-    started_utc_ns: int | None = None
-    ended_utc_ns: int | None = None
-    state: SetState
-    cause: str | None = None  # why it is partial, missed or retired
-    n_planned: int
-    n_taken: int = 0
-    n_valid: int = 0
+    due_h: DueH
+    started_utc_ns: Annotated[int | None, "Time of its first strike; null: none"] = None
+    ended_utc_ns: Annotated[int | None, "Time of its last record; null: none"] = None
+    state: Annotated[SetState, "Result of the set"]
+    cause: Annotated[str | None, "Why the set is not complete; null: it is"] = None
+    n_planned: Annotated[int, "Planned shots"]
+    n_taken: Annotated[int, "Stored shots"] = 0
+    n_valid: Annotated[int, "Valid shots"] = 0
     n_missed: Annotated[int, "Strikes that left no record"] = 0
     n_restrikes: Annotated[int, "Strikes repeated by the quality gate"] = 0
-    file: str | None = None  # relative to the data folder
+    file: Annotated[str | None, "Set file, relative to the data folder; null: none yet"] = None
     file_sha256: Annotated[str | None, "Of the file, once it is made"] = None
     purpose: Annotated[
         Purpose | None, "`confirmation`: beside the plan, outside chart and baseline; null: planned"
@@ -102,18 +107,18 @@ class SetRow(RowOfSet):
 class ShotRow(RowOfSet):
     """One stored shot; a pulse-echo record is a shot too."""
 
-    sequence: int
-    set_index: int
-    unscheduled_index: int = 0
-    position: str
-    shot_index: int
-    attempt: int
+    sequence: Annotated[int, "Number of the record in the order of acquisition"]
+    set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
+    position: Position
+    shot_index: Annotated[int, "Index of the shot in its set, from 0; null: the complete set"]
+    attempt: Annotated[int, "Number of the strike for this shot, from 0: the quality gate repeats some"]
     utc_ns: int
     mono_ns: Annotated[int, "Monotonic ns within boot_id"]
-    boot_id: str
-    crc32: int
-    valid: bool
-    flags: list[str]  # clipped, missed, no_psw, noisy, ...
+    boot_id: Annotated[str, "Boot of the computer; null: the system does not name it"]
+    crc32: Annotated[int, "CRC-32 of the samples"]
+    valid: Annotated[bool, "The shot is valid"]
+    flags: Annotated[list[str], "Flags of the quality gate"]
     outcome: Annotated[Outcome, "`superseded`: a repetition of the same shot counts instead"] = "accepted"
 
 
@@ -122,31 +127,31 @@ class FeatureRow(RowOfSet):
     """Solitary-wave features of a shot, or of a set: the mean of its valid shots."""
 
     id: int | None = None
-    set_index: int
-    unscheduled_index: int = 0
-    position: str
-    shot_index: int | None  # None: the set's feature
-    sequence: int | None
-    due_h: float
-    extractor_version: str
-    quality: Quality
-    n_valid: int
+    set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
+    position: Position
+    shot_index: Annotated[int | None, "Index of the shot in its set, from 0; null: the complete set"]
+    sequence: Annotated[int | None, "Number of the record in the order of acquisition"]
+    due_h: DueH
+    extractor_version: Annotated[str, "Version of the code that computed the values"]
+    quality: Annotated[Quality, "Quality of the value"]
+    n_valid: Annotated[int, "Valid shots"]
     # As `analysis.waves.features.ALL_FEATURE_NAMES`: a test compares them.
-    tof_pp_s: float | None = None
-    tof_ac_s: float | None = None
-    amplitude_ratio: float | None = None
-    autocorrelation_coefficient: float | None = None
-    psw_area_v_s: float | None = None
-    tof_mf_s: float | None = None
-    isw_amplitude_v: float | None = None
-    psw_amplitude_v: float | None = None
-    ssw_amplitude_v: float | None = None
-    isw_time_s: float | None = None
-    psw_time_s: float | None = None
-    ssw_time_s: float | None = None
-    isw_fwhm_s: float | None = None
-    psw_isw_area_ratio: float | None = None
-    noise_rms_v: float | None = None
+    tof_pp_s: Annotated[float | None, "Time of flight between incident and reflected peak"] = None
+    tof_ac_s: Annotated[float | None, "Time of flight by autocorrelation"] = None
+    amplitude_ratio: Annotated[float | None, "Reflected peak divided by incident peak"] = None
+    autocorrelation_coefficient: Annotated[float | None, "Second peak of the autocorrelation"] = None
+    psw_area_v_s: Annotated[float | None, "Area below the reflected wave"] = None
+    tof_mf_s: Annotated[float | None, "Time of flight by matched filter"] = None
+    isw_amplitude_v: Annotated[float | None, "Peak of the incident wave"] = None
+    psw_amplitude_v: Annotated[float | None, "Peak of the primary reflected wave"] = None
+    ssw_amplitude_v: Annotated[float | None, "Peak of the secondary reflected wave; null: none"] = None
+    isw_time_s: Annotated[float | None, "Time of the incident peak after the trigger"] = None
+    psw_time_s: Annotated[float | None, "Time of the primary reflected peak after the trigger"] = None
+    ssw_time_s: Annotated[float | None, "Time of the secondary reflected peak after the trigger"] = None
+    isw_fwhm_s: Annotated[float | None, "Full width at half maximum of the incident wave"] = None
+    psw_isw_area_ratio: Annotated[float | None, "Reflected area divided by incident area"] = None
+    noise_rms_v: Annotated[float | None, "RMS noise before the incident wave"] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,19 +159,19 @@ class ThicknessRow(RowOfSet):
     """Pulse-echo result of a set."""
 
     id: int | None = None
-    set_index: int
-    unscheduled_index: int = 0
-    position: str
-    sequence: int | None
-    due_h: float
-    extractor_version: str
-    quality: Quality
-    travel_time_s: float | None = None
-    thickness_m: float | None = None
-    thickness_loss_m: float | None = None
-    correlation_coefficient: float | None = None
-    interval_low_m: Annotated[float | None, "Of the 95 % interval of `thickness_m`"] = None
-    interval_high_m: float | None = None
+    set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
+    position: Position
+    sequence: Annotated[int | None, "Number of the record in the order of acquisition"]
+    due_h: DueH
+    extractor_version: Annotated[str, "Version of the code that computed the values"]
+    quality: Annotated[Quality, "Quality of the value"]
+    travel_time_s: Annotated[float | None, "Travel time of the echo through the wall and back"] = None
+    thickness_m: Annotated[float | None, "Wall thickness"] = None
+    thickness_loss_m: Annotated[float | None, "Wall loss since the start of the test"] = None
+    correlation_coefficient: Annotated[float | None, "Correlation of the echo with the reference"] = None
+    interval_low_m: Annotated[float | None, "Lower end of the 95 % interval of `thickness_m`"] = None
+    interval_high_m: Annotated[float | None, "Upper end of the 95 % interval of `thickness_m`"] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -174,23 +179,23 @@ class EnvironmentRow(Row):
     """Values of supply and climate probe around a set; None if not available."""
 
     id: int | None = None
-    set_index: int
-    due_h: float
-    supply_state: SupplyState
-    supply_quality: ReadingQuality
+    set_index: SetIndex
+    due_h: DueH
+    supply_state: Annotated[SupplyState, "Output of the supply"]
+    supply_quality: Annotated[ReadingQuality, "Freshness of the supply's reading"]
     supply_age_s: Annotated[float | None, "Of the newest reading, when the row was written"] = None
     supply_tripped: Annotated[str | None, "Why the interlock is open; null: it is closed"] = None
     voltage_v: Annotated[float | None, "Mean over the readings since the set before"] = None
-    voltage_min_v: float | None = None
-    voltage_max_v: float | None = None
-    current_a: float | None = None
-    current_min_a: float | None = None
-    current_max_a: float | None = None
+    voltage_min_v: Annotated[float | None, "Minimum of these readings"] = None
+    voltage_max_v: Annotated[float | None, "Maximum of these readings"] = None
+    current_a: Annotated[float | None, "Mean over the readings since the set before"] = None
+    current_min_a: Annotated[float | None, "Minimum of these readings"] = None
+    current_max_a: Annotated[float | None, "Maximum of these readings"] = None
     charge_coulomb: Annotated[float | None, "Since hour 0, by measured current only"] = None
     unknown_s: Annotated[float | None, "Since hour 0: time whose current nobody measured"] = None
-    climate_quality: ReadingQuality
-    climate_age_s: float | None = None
-    temperature_c: float | None = None
+    climate_quality: Annotated[ReadingQuality, "Freshness of the climate's reading"]
+    climate_age_s: Annotated[float | None, "Of the newest reading, when the row was written"] = None
+    temperature_c: Annotated[float | None, "Air temperature"] = None
     relative_humidity: Annotated[float | None, "0 to 1"] = None
 
 
@@ -203,19 +208,21 @@ class BaselineRow(Row):
 
     id: int | None = None
     name: str
-    position: str
+    position: Position
     created_utc_ns: int = 0  # when it was stored; 0 until then
-    first_set_index: int
-    last_set_index: int
+    first_set_index: Annotated[int, "First set of the baseline, planned if it is collecting"]
+    last_set_index: Annotated[int, "Last set of the baseline, planned if it is collecting"]
     n_sets: int
-    feature_names: list[str]
-    mean: list[float | None]  # (p,)
-    covariance: list[list[float | None]]  # (p, p)
-    limit_f_predictive: float | None = None  # two of `limits`, as columns: for trends and older clients
-    limit_mean_3sd: float | None = None
-    limit_reason: str | None = None  # why there is no limit
-    approval: str  # "automatic", "by_a_person" until a person approves, or the name of that person
-    provenance: dict[str, Any]  # set ids, suspects, extractor, versions
+    feature_names: Annotated[list[str], "Features of the baseline, in the order of `mean`"]
+    mean: Annotated[list[float | None], "Mean of each feature in its own unit, shape (p,)"]
+    covariance: Annotated[list[list[float | None]], "Covariance in products of these units, shape (p, p)"]
+    limit_f_predictive: Annotated[
+        float | None, "Predictive F limit of `distance_squared`; null: none yet"
+    ] = None
+    limit_mean_3sd: Annotated[float | None, "Limit mean + 3 SD of `distance_squared`; null: none yet"] = None
+    limit_reason: Annotated[str | None, "Why there is no limit; null: there is one"] = None
+    approval: Annotated[str, "`automatic`, `by_a_person` until a person approves, or the name of that person"]
+    provenance: Annotated[dict[str, Any], "Set ids, suspects, extractor, versions"]
     limits: Annotated[
         dict[str, float] | None,
         "Every limit by its name (`/info` lists them); null: there is none",
@@ -227,10 +234,10 @@ class BaselineRow(Row):
     state: Annotated[
         BaselineState, "`collecting`, `proposed` until a person signs, `approved`, or `retired` by a person"
     ] = "approved"
-    approved_utc_ns: int | None = None
-    retired_utc_ns: int | None = None
-    retired_by: str | None = None
-    retired_reason: str | None = None
+    approved_utc_ns: Annotated[int | None, "Time of approval on the test clock; null: none"] = None
+    retired_utc_ns: Annotated[int | None, "Time of retirement on the test clock; null: none"] = None
+    retired_by: Annotated[str | None, "Person who retired it"] = None
+    retired_reason: Annotated[str | None, "Reason of the retirement"] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -238,20 +245,24 @@ class AssessmentRow(RowOfSet):
     """Assessment of a set by novelty detection."""
 
     id: int | None = None
-    set_index: int
-    unscheduled_index: int = 0
-    position: str
-    due_h: float
-    baseline_id: int | None = None
-    in_baseline: bool
-    distance_squared: float | None = None
+    set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
+    position: Position
+    due_h: DueH
+    baseline_id: Annotated[int | None, "Baseline of the assessment; null: none"] = None
+    in_baseline: Annotated[bool, "The set belongs to the baseline"]
+    distance_squared: Annotated[float | None, "Squared Mahalanobis distance from the baseline"] = None
     limit_name: Annotated[str, "The limit beyond which the set is an outlier"]
-    limit_f_predictive: float | None = None  # as in `BaselineRow`
-    limit_mean_3sd: float | None = None
-    outlier: bool | None = None  # None: not assessed, see reason
-    outlier_mean_3sd: bool | None = None
-    reason: str | None = None
-    contributions: dict[str, float | None] | None = None  # {feature: part of distance_squared}
+    limit_f_predictive: Annotated[
+        float | None, "Predictive F limit of `distance_squared`; null: none yet"
+    ] = None
+    limit_mean_3sd: Annotated[float | None, "Limit mean + 3 SD of `distance_squared`; null: none yet"] = None
+    outlier: Annotated[bool | None, "Above the limit `limit_name`; null: not assessed"] = None
+    outlier_mean_3sd: Annotated[bool | None, "Above `limit_mean_3sd`; null: not assessed"] = None
+    reason: Annotated[str | None, "Why there is no assessment; null: there is one"] = None
+    contributions: Annotated[dict[str, float | None] | None, "Part of `distance_squared` of each feature"] = (
+        None
+    )
     mewma_statistic: Annotated[
         float | None, "Statistic of the chart that keeps the budget of false alarms"
     ] = None
@@ -286,29 +297,29 @@ class AlarmRow(Row):
     """One alarm (ISA-18.2 states) with its evidence; every change is also an event."""
 
     id: int | None = None
-    position: str | None  # None: the service itself
-    kind: str  # "wall_change", "no_reflection", "thickness_low", "few_valid_shots", ...
-    alarm_class: AlarmClass
-    priority: Priority
-    state: AlarmState
-    raised_utc_ns: int
-    raised_h: float
-    raised_set_index: int | None = None
-    raised_unscheduled_index: int = 0
-    changed_utc_ns: int
-    cleared_utc_ns: int | None = None
-    acknowledged_utc_ns: int | None = None
-    acknowledged_by: str | None = None
+    position: Annotated[str | None, "Monitored position; null: the complete test"]
+    kind: Annotated[str, "Kind of alarm, from a fixed list"]
+    alarm_class: Annotated[AlarmClass, "Damage of the wall, or a fault of a device"]
+    priority: Annotated[Priority, "Priority of the alarm"]
+    state: Annotated[AlarmState, "State according to ISA-18.2"]
+    raised_utc_ns: Annotated[int, "Time when it was raised, on the test clock"]
+    raised_h: Annotated[float, "Hour of the test when it was raised"]
+    raised_set_index: Annotated[int | None, "Set with which it was raised; null: none"] = None
+    raised_unscheduled_index: UnscheduledIndex = 0
+    changed_utc_ns: Annotated[int, "Time of its last change, on the test clock"]
+    cleared_utc_ns: Annotated[int | None, "Time when the condition ended; null: it has not"] = None
+    acknowledged_utc_ns: Annotated[int | None, "Time of the acknowledgement; null: none"] = None
+    acknowledged_by: Annotated[str | None, "Person who acknowledged it; null: none"] = None
     note: str | None = None
-    message: str
+    message: Annotated[str, "Headline, key evidence, action"]
     evidence: dict[str, Any]  # sets, features, baseline, limit, formula, contributions, versions
     suppressed: Annotated[
         Suppression | None, "A person does not want to be told: `shelved` for a while, or `out_of_service`"
     ] = None
-    suppressed_by: str | None = None
-    suppressed_reason: str | None = None
-    shelved_until_utc_ns: int | None = None  # on the experiment's clock
-    shelved_until_wall_utc_ns: int | None = None  # in real time; whichever comes first ends it
+    suppressed_by: Annotated[str | None, "Person who shelved it or took it out of service; null: none"] = None
+    suppressed_reason: Annotated[str | None, "Reason of the suppression; null: none"] = None
+    shelved_until_utc_ns: Annotated[int | None, "End of the shelving on the test clock; null: none"] = None
+    shelved_until_wall_utc_ns: Annotated[int | None, "The same in real time; the first one ends it"] = None
 
     @property
     def raised_set_key(self) -> SetKey | None:
@@ -327,9 +338,9 @@ class AnnotationRow(Row):
     to_h: Annotated[float, "The same as `from_h`: an instant"]
     text: str
     author: str
-    written_utc_ns: int
-    withdrawn_utc_ns: int | None = None
-    withdrawn_by: str | None = None
+    written_utc_ns: Annotated[int, "Time when it was written"]
+    withdrawn_utc_ns: Annotated[int | None, "Time when it was withdrawn; null: it was not"] = None
+    withdrawn_by: Annotated[str | None, "Person who withdrew it; null: none"] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -363,13 +374,15 @@ class CommandRow(Row):
     wall_utc_ns: int
     author: str
     kind: str  # "finish_now", "stop", "pause", "disable", ...
-    arguments: dict[str, Any]
-    state: CommandState
-    result: str | None = None
-    finished_wall_utc_ns: int | None = None
-    deadline_wall_utc_ns: int | None = None  # if it has not started by then, it expires
+    arguments: Annotated[dict[str, Any], "Arguments of the command, by kind"]
+    state: Annotated[CommandState, "State of the command"]
+    result: Annotated[str | None, "Result; null: none yet"] = None
+    finished_wall_utc_ns: Annotated[int | None, "Time of its end by the computer's clock; null: none yet"] = (
+        None
+    )
+    deadline_wall_utc_ns: Annotated[int | None, "Not started by then, it expires; null: no deadline"] = None
     deadline_boot_ns: Annotated[int | None, "The same in ns of the boot `boot_id`, sleep included"] = None
-    boot_id: str | None = None  # None where the system names no boot
+    boot_id: Annotated[str | None, "Boot of the computer; null: the system does not name it"] = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -395,7 +408,7 @@ class TrendBlockRow(Row):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AssessorStateRow(Row):
-    """Part of the state of a position's assessor after its newest set (`assessment.position_assessors`)."""
+    """Part of the state of a position's assessor after its newest set (`recording.set_assessor`)."""
 
     place: str  # position and part
     position: str
@@ -409,6 +422,13 @@ MEASURED_BY: Mapping[Method, type[FeatureRow] | type[ThicknessRow]] = MappingPro
     {SOLITARY_WAVE: FeatureRow, PULSE_ECHO: ThicknessRow}
 )
 """Kind of row of each method's results."""
+MEASURED: Mapping[type[Row], tuple[str, ...]] = MappingProxyType(
+    {
+        kind: tuple(item.name for item in fields(kind) if item.default is None and item.name != "id")
+        for kind in MEASURED_BY.values()
+    }
+)
+"""Names of the nullable values of a measurement's row."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -420,31 +440,24 @@ class Column:
     nullable: bool
     description: str | None
 
+    @property
+    def published_name(self) -> str:
+        """Name in answers and tables, where a time is RFC 3339 text."""
+        is_time = self.name == "utc_ns" or self.name.endswith("_utc_ns")
+        return self.name.removesuffix("_ns") if is_time else self.name
 
-def columns_of(kind: type[Row]) -> tuple[Column, ...]:
-    """Return the columns of a kind of row in order; the first one is the primary key."""
+
+def columns_of(kind: type[object]) -> tuple[Column, ...]:
+    """Return the fields of a dataclass in order; of a kind of row, the first one is the primary key."""
     columns = []
-    hints = get_type_hints(kind, include_extras=True)
-    for name in kind.__slots__:
-        hint = hints[name]
+    for name, hint in get_type_hints(kind, include_extras=True).items():
         of_type, description = get_args(hint) if get_origin(hint) is Annotated else (hint, None)
-        columns.append(
-            Column(name=name, type=of_type, nullable=NoneType in get_args(of_type), description=description)
-        )
+        if name != "__slots__":
+            nullable = NoneType in get_args(of_type)
+            columns.append(Column(name=name, type=of_type, nullable=nullable, description=description))
     return tuple(columns)
-
-
-def measured(kind: type[Row]) -> tuple[str, ...]:
-    """Return the names of the nullable values of a measurement's row."""
-    return tuple(item.name for item in fields(kind) if item.default is None and item.name != "id")  # type: ignore[arg-type] # every kind of row is a dataclass
 
 
 def values(row: Row) -> dict[str, Any]:
     """Return the value of each column by name, in order; nested values are not copied."""
     return {name: getattr(row, name) for name in row.__slots__}
-
-
-def payload_of(row: Row, *, last: str = "") -> dict[str, object]:
-    """Return the row as payload of its event: without a missing id, column ``last`` at the end."""
-    columns = {name: value for name, value in values(row).items() if name != "id" or value is not None}
-    return {name: columns[name] for name in sorted(columns, key=last.__eq__)}

@@ -9,15 +9,15 @@ from typing import TypeVar
 
 from sqlalchemy import Connection
 
-from daq_service.catalogue.connection import FILE_NAME, make_engine, translated
+from daq_service.catalogue.connection import FILE_NAME, make_engine
 from daq_service.catalogue.corruption import UNREADABLE
 from daq_service.catalogue.errors import SchemaVersionError
 from daq_service.catalogue.migrations import SCHEMA_REVISION, known_revisions
-from daq_service.catalogue.reported_rows import ROW_OF_EVENT, is_joined, joined, of_sets
-from daq_service.catalogue.row_checksum import DamagedRow, checked
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, is_joined, joined, of_sets, payloads_of
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, Row, SetRow
 from daq_service.catalogue.store import revision_of
-from daq_service.catalogue.tables import table_of
+from daq_service.catalogue.stored_rows import DamagedRow, checked, translated
+from daq_service.catalogue.tables import TABLES
 
 R = TypeVar("R", bound=Row)
 
@@ -63,7 +63,7 @@ def read_sound_rows(folder: Path) -> Salvaged:
                     for kind in dict.fromkeys(ROW_OF_EVENT.values())
                     for row in _sound_rows(connection, kind, report)
                 ]
-                events = joined(_sound_rows(connection, EventRow, report), rows)
+                events = joined(_sound_rows(connection, EventRow, report), payloads_of(rows))
                 # Without its row an event is lost, unless the history has it.
                 salvaged_rows.events = {row.id or 0: row for row in events if not is_joined(row)}
                 for row in rows:
@@ -76,7 +76,7 @@ def read_sound_rows(folder: Path) -> Salvaged:
 
 def _sound_rows(connection: Connection, kind: type[R], report: Callable[[str], None]) -> Iterator[R]:
     """Yield the rows that match their checksum; around a corrupt page those before and after it."""
-    table = table_of(kind)
+    table = TABLES[kind]
     key = table.primary_key.columns[0]
     for backwards in (False, True):
         try:

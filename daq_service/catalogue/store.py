@@ -7,7 +7,7 @@ from typing import Literal, overload
 
 from sqlalchemy import Engine, inspect, text
 
-from daq_service.catalogue.connection import FILE_NAME, make_engine, reading_engine, translated
+from daq_service.catalogue.connection import FILE_NAME, make_engine, reading_engine
 from daq_service.catalogue.corruption import refuse_corruption
 from daq_service.catalogue.errors import (
     CatalogueError,
@@ -20,6 +20,7 @@ from daq_service.catalogue.migrations import SCHEMA_REVISION, migrate
 from daq_service.catalogue.network_folder import network_filesystem
 from daq_service.catalogue.owner import refuse_other_experiment, refuse_other_test
 from daq_service.catalogue.reader import Catalogue
+from daq_service.catalogue.stored_rows import translated
 from daq_service.catalogue.writer import RecorderCatalogue
 from daq_service.settings.tree import Settings
 

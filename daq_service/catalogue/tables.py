@@ -26,7 +26,8 @@ metadata = sa.MetaData(
 ROW_CRC32 = "row_crc32"
 """The last column of each table: the checksum of the others, which no dataclass has."""
 
-_TABLES: dict[type[rows.Row], sa.Table] = {}
+TABLES: dict[type[rows.Row], sa.Table] = {}
+"""Table of each kind of row."""
 # None is SQL's NULL, not the JSON text "null": so NOT NULL is effective.
 _TYPES: dict[Any, TypeEngine[Any]] = {
     bool: sa.Boolean(),
@@ -39,11 +40,6 @@ _TYPES: dict[Any, TypeEngine[Any]] = {
     Literal: sa.String(),
 }
 _BIG_INTEGERS = ("_ns", "crc32")
-
-
-def table_of(kind: type[rows.Row]) -> sa.Table:
-    """Return the table of a kind of row."""
-    return _TABLES[kind]
 
 
 def _table(
@@ -66,8 +62,8 @@ def _table(
     ]
     columns.append(sa.Column(ROW_CRC32, sa.BigInteger()))
     # With AUTOINCREMENT ids are never used again, even after a deletion.
-    _TABLES[kind] = sa.Table(name, metadata, *columns, *constraints, sqlite_autoincrement=autoincrement)
-    return _TABLES[kind]
+    TABLES[kind] = sa.Table(name, metadata, *columns, *constraints, sqlite_autoincrement=autoincrement)
+    return TABLES[kind]
 
 
 def _sql_type(column: rows.Column) -> TypeEngine[Any]:
@@ -171,5 +167,5 @@ counts = _table("counts", rows.CountsRow)
 trend_blocks = _table("trend_blocks", rows.TrendBlockRow)
 assessor_states = _table("assessor_states", rows.AssessorStateRow)
 
-KINDS = tuple(_TABLES)
+KINDS = tuple(TABLES)
 """Kinds of rows; a referenced kind comes before the referring one."""

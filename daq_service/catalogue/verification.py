@@ -13,7 +13,7 @@ from typing import Any, Self
 
 from sqlalchemy import NullPool, create_engine
 
-from daq_service.catalogue.connection import BUSY_TIMEOUT_S, FILE_NAME
+from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.corruption import UNREADABLE, CatalogueCorruption, corruption_in
 from daq_service.catalogue.earlier_names import EVENT_KINDS, TOPICS, current_row
 from daq_service.catalogue.errors import (
@@ -23,9 +23,10 @@ from daq_service.catalogue.errors import (
     NoDataYetError,
 )
 from daq_service.catalogue.migrations import SCHEMA_REVISION
-from daq_service.catalogue.rollups import trend_differences
 from daq_service.catalogue.rows import EventRow
+from daq_service.catalogue.stored_rows import BUSY_TIMEOUT_S
 from daq_service.catalogue.tables import metadata, trend_blocks
+from daq_service.catalogue.trends import trend_differences
 from daq_service.shared_file import remove_quietly
 from hardware_drivers.measurement import SetKey
 

@@ -9,14 +9,22 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeVar
 
-from sqlalchemy import ColumnElement, Connection, bindparam, delete, func, insert, select, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Select,
+    bindparam,
+    case,
+    delete,
+    func,
+    insert,
+    select,
+    update,
+)
 
-from daq_service.catalogue.connection import translated, writing
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
-from daq_service.catalogue.reader import Catalogue, due_time_counts, in_plan, read_rows, stored_command
-from daq_service.catalogue.reported_rows import without_rows
+from daq_service.catalogue.reader import Catalogue, in_plan, stored_command
 from daq_service.catalogue.rollups import last_sets, touched_sets, update_trends
-from daq_service.catalogue.row_checksum import checked_rows, numbered, storable
 from daq_service.catalogue.rows import (
     AlarmRow,
     AnnotationRow,
@@ -35,7 +43,9 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
 )
+from daq_service.catalogue.stored_rows import checked_rows, numbered, storable, translated, writing
 from daq_service.catalogue.tables import (
+    TABLES,
     assessments,
     assessor_states,
     commands,
@@ -44,7 +54,6 @@ from daq_service.catalogue.tables import (
     experiment,
     sets,
     shots,
-    table_of,
 )
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import PULSE_ECHO
@@ -52,7 +61,7 @@ from hardware_drivers.methods import PULSE_ECHO
 R = TypeVar("R", bound=Row)
 
 _KEY = "key_of_the_row"
-ANSWERS: tuple[CommandState, ...] = ("done", "refused", "expired", "failed")
+ANSWERS: tuple[CommandState, ...] = ("done", "rejected", "expired", "failed")
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -209,8 +218,7 @@ class RecorderCatalogue(Catalogue):
             _store_states(connection, list(commit.states.values()))
             alarm_ids = [_store(connection, row) for row in commit.alarms]
             annotation_ids = [_store(connection, row) for row in commit.annotations]
-            reports = without_rows(_dated_events(commit, alarm_ids, annotation_ids), _of_set(commit))
-            event_ids = _ids(_insert(connection, reports))
+            event_ids = _ids(_insert(connection, _dated_events(commit, alarm_ids, annotation_ids)))
             after = due_time_counts(connection, indices) if indices else {}
             _count(connection, commit, before, after)
             update_trends(connection, touched, last_before)
@@ -341,18 +349,55 @@ def _is_set(key: SetKey) -> tuple[ColumnElement[bool], ...]:
     return sets.c.set_index == key.set_index, sets.c.unscheduled_index == key.unscheduled_index
 
 
+def payload_of(row: Row, *, last: str = "") -> dict[str, object]:
+    """Return the row as payload of its event: without a missing id, column ``last`` at the end."""
+    names = [name for name in row.__slots__ if name != "id" or getattr(row, name) is not None]
+    return {name: getattr(row, name) for name in sorted(names, key=last.__eq__)}
+
+
+def _due_time_counts_statement(*of: ColumnElement[bool]) -> Select[int, int, int]:
+    """Return the query that counts due times from their rows."""
+    lacking = case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
+    missed = case((sets.c.state == "missed", 1), else_=0)
+    due_times = select(
+        func.sum(sets.c.n_taken).label("taken"),
+        func.sum(lacking).label("lacking"),
+        func.sum(missed).label("missed"),
+    )
+    found = due_times.where(in_plan(sets), *of).group_by(sets.c.set_index).subquery()
+    has_data = found.c.taken > 0
+    return select(
+        func.count().filter(has_data).label("sets"),
+        func.count().filter(~has_data, found.c.missed > 0).label("missed_sets"),
+        func.count().filter(has_data, found.c.lacking > 0).label("partial_sets"),
+    ).select_from(found)
+
+
+_OF_ALL_SETS = _due_time_counts_statement()
+_OF_SOME_SETS = _due_time_counts_statement(sets.c.set_index.in_(bindparam("indices", expanding=True)))
+
+
+def due_time_counts(connection: Connection, indices: Collection[int] | None = None) -> dict[str, int]:
+    """Count due times (`CountsRow`) from their rows: of some sets, or (None) of all."""
+    if indices is None:
+        found = connection.execute(_OF_ALL_SETS)
+    else:
+        found = connection.execute(_OF_SOME_SETS, {"indices": sorted(indices)})
+    return dict(found.mappings().one())
+
+
 def _insert(connection: Connection, rows: Sequence[R]) -> list[R]:
     """Insert rows and return them with their ids."""
     if not rows:
         return []
     rows = numbered(connection, rows)
-    connection.execute(insert(table_of(type(rows[0]))), [storable(row) for row in rows])
+    connection.execute(insert(TABLES[type(rows[0])]), [storable(row) for row in rows])
     return list(rows)
 
 
 def _change(connection: Connection, row: Row) -> bool:
     """Replace the row with the same id; return False if there is none."""
-    table, stored = table_of(type(row)), storable(row)
+    table, stored = TABLES[type(row)], storable(row)
     key = table.primary_key.columns[0]
     stored[_KEY] = stored.pop(key.name)
     return connection.execute(update(table).where(key == bindparam(_KEY)), stored).rowcount == 1
@@ -370,7 +415,7 @@ def _count(
         "pulse_echo_records": n_echoes,
         "events": len(commit.events),
     }
-    (row,) = read_rows(connection, CountsRow, select(counts))
+    (row,) = checked_rows(connection, CountsRow, select(counts))
     changed = replace(row, **{name: getattr(row, name) + number for name, number in added.items()})
     _change(connection, changed)
 
@@ -422,7 +467,7 @@ def _answer(connection: Connection, row: CommandRow) -> int:
 def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
     """Replace a row or raise an error if there is none."""
     if not _change(connection, row):
-        row_text = f"row {row_id} of table {table_of(type(row)).name}"
+        row_text = f"row {row_id} of table {TABLES[type(row)].name}"
         raise CatalogueConflictError(f"there is no {row_text} to change; nothing was stored")
     return row_id
 
@@ -430,12 +475,6 @@ def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
 def _ids(rows: Iterable[Any]) -> list[int]:
     """Return the ids of rows."""
     return [row.id for row in rows]
-
-
-def _of_set(commit: SetCommit) -> list[Row]:
-    """Return the rows of a commit that events report."""
-    of_set = [row for row in commit.features if row.shot_index is None]
-    return [*commit.sets, *of_set, *commit.thickness, *commit.assessments, *commit.environment]
 
 
 def _dated_events(
@@ -454,4 +493,4 @@ def _dated_events(
     return complete
 
 
-__all__ = ["Committed", "RecorderCatalogue", "SetCommit"]
+__all__ = ["Committed", "RecorderCatalogue", "SetCommit", "payload_of"]

@@ -7,7 +7,6 @@ import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 from daq_service.catalogue import check_owner
 from daq_service.cli.run import STOPPED, child_plans, report_full_disk
@@ -78,7 +77,7 @@ def _run_on(
     with stop_on_signals() as stop:
         with ProgressReport(news_to_stderr=as_json) as progress:
             progress.line(f"data: {folder}")
-            report_full_disk(folder, settings, progress.line)
+            report_full_disk(folder, settings.storage, progress.line)
             for note in running.notes:
                 progress.line(note)
             address_printer = _AddressPrinter(progress.line, open_page if browser else lambda url: False)
@@ -120,9 +119,9 @@ def _run_on(
     return EXIT_OK
 
 
-def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dict[str, Any]:
+def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dict[str, dict[str, object]]:
     """Return the configuration that the options override."""
-    options: dict[str, dict[str, Any]] = {
+    options: dict[str, dict[str, object]] = {
         "schedule": {"end_h": hours},
         "twin": {"nuisance": NUISANCE, "seed": seed},
         "clock": {"pace_h_per_s": pace},

@@ -14,7 +14,7 @@ from daq_service.cli.sweep.shot import Specimen, coupled_numbers, coupled_shot, 
 from daq_service.cli.sweep.specification import spaced
 from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import PositionSettings, Settings
 from simulator.errors import SimulatorError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -126,18 +126,21 @@ def _specimen(
     tilt_rad: float | None,
 ) -> Specimen:
     """Return the specimen with the options applied."""
-    place: Any = settings
+    place: Settings | PositionSettings = settings
     if position is not None:
         if position not in settings.positions:
             raise ValueError(
                 f"no position {position!r}; the configuration has {', '.join(settings.positions)}"
             )
         place = settings.positions[position]
-    given = {"drop_height_m": drop_height_m, "tilt_rad": tilt_rad}
-    chain = replace(place.chain, **{name: value for name, value in given.items() if value is not None})
-    patch = (
-        place.corrosion if depth_fraction is None else replace(place.corrosion, depth_fraction=depth_fraction)
+    chain, patch = place.chain, place.corrosion
+    chain = replace(
+        chain,
+        drop_height_m=chain.drop_height_m if drop_height_m is None else drop_height_m,
+        tilt_rad=chain.tilt_rad if tilt_rad is None else tilt_rad,
     )
+    if depth_fraction is not None:
+        patch = replace(patch, depth_fraction=depth_fraction)
     return chain, place.plate, patch
 
 
@@ -155,7 +158,7 @@ def _grid(text: str) -> list[float]:
 
 def _shot(
     model: str, chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Compute one row: chain and plate integrated together, or Zener's impact of the last sphere."""
     given = {"depth_fraction": patch.depth_fraction, "drop_height_m": chain.drop_height_m}
     if model == "zener":

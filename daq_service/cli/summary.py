@@ -20,6 +20,11 @@ from daq_service.catalogue.store import Catalogue
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO
 
+OF_SOLITARY_WAVES = (
+    *("outlier_fraction_before_100_h", "outlier_fraction_after_100_h"),
+    *("outlier_fraction_after_100_h_paper_limit", "tof_us", "amplitude_ratio"),
+    *("limit", "limit_name", "limit_paper", "limit_reason", "n_baseline"),
+)
 SPLIT_H = 100.0
 """The paper counts outliers after 100 h."""
 
@@ -56,7 +61,7 @@ def _cost(catalogue: Catalogue) -> dict[str, float] | None:
     return rows[-1].payload["cost"] if rows else None
 
 
-def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, Any]:
+def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, object]:
     """Return the summary of a solitary-wave transducer."""
     assessments = catalogue.rows(AssessmentRow, position=position)
     assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
@@ -86,17 +91,8 @@ def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, object]:
     rows = [row for row in catalogue.rows(ThicknessRow, position=position) if row.thickness_m is not None]
     last = rows[-1] if rows else None
     return {
+        **dict.fromkeys(OF_SOLITARY_WAVES),
         "first_alarm_h": _first_alarm_h(catalogue, position),
-        "outlier_fraction_before_100_h": None,
-        "outlier_fraction_after_100_h": None,
-        "outlier_fraction_after_100_h_paper_limit": None,
-        "tof_us": None,
-        "amplitude_ratio": None,
-        "limit": None,
-        "limit_name": None,
-        "limit_paper": None,
-        "limit_reason": None,
-        "n_baseline": None,
         "travel_time_us": None if last is None else _scaled(last.travel_time_s, 1e6),
         "thickness_mm": None if last is None else _scaled(last.thickness_m, 1e3),
     }

@@ -7,14 +7,14 @@ import os
 import queue
 import sys
 import threading
-import time
 import webbrowser
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any, Literal, Self
 
 import click
 
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.printing import HELD_AFTER_S, PRINTING, discard_unwritten
 from daq_service.settings.foreign_text import PlainStream, in_one_line
 
@@ -68,16 +68,14 @@ class ProgressReport:
     ----------
     news_to_stderr
         `line` writes to standard error, since standard output is used for data.
-    mono_s
-        Monotonic time.
     """
 
-    def __init__(self, *, news_to_stderr: bool = False, mono_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, *, news_to_stderr: bool = False, machine: MachineClock = MACHINE) -> None:
         self._news_to_stderr = news_to_stderr
-        self._mono_s = mono_s
+        self._machine = machine
         self._live: Live | None = None
         self._lock = threading.RLock()
-        self._doing, self._doing_since_s = "starting", mono_s()
+        self._doing, self._doing_since_s = "starting", machine.mono_s()
         self._preparing: list[tuple[str, float]] = []
         self._progress, self._logged_s = "", -float("inf")
         self._gap: tuple[str, int, int] | None = None
@@ -147,7 +145,7 @@ class ProgressReport:
 
         with self._lock:
             doing, since_s = self._preparing[-1] if self._preparing else (self._doing, self._doing_since_s)
-        took_s = self._mono_s() - since_s
+        took_s = self._machine.mono_s() - since_s
         long = f"{doing}; {duration(took_s)} so far" if took_s >= SHOWN_AFTER_S else ""
         text = "; ".join(filter(None, (self._progress, long))) or doing
         return Text(in_one_line(text), no_wrap=True, overflow="ellipsis")
@@ -171,18 +169,18 @@ class ProgressReport:
         elif child == "recorder":
             self(message["event"], **values)
 
-    def _hear_beat(self, *, doing: str, **_: Any) -> None:
+    def _hear_beat(self, *, doing: str, **_: object) -> None:
         if doing != self._doing:
-            self._doing, self._doing_since_s = doing, self._mono_s()
+            self._doing, self._doing_since_s = doing, self._machine.mono_s()
 
     def _hear_preparing(self, *, what: str) -> None:
-        self._preparing.append((what, self._mono_s()))
+        self._preparing.append((what, self._machine.mono_s()))
 
     def _hear_prepared(self, *, what: str) -> None:
         started = [item for item in self._preparing if item[0] == what]
         if started:  # else a line was lost on the way
             self._preparing.remove(started[-1])
-            took_s = self._mono_s() - started[-1][1]
+            took_s = self._machine.mono_s() - started[-1][1]
             if took_s >= SHOWN_AFTER_S:
                 self._put(f"{what}: took {duration(took_s)}")
 
@@ -190,12 +188,12 @@ class ProgressReport:
         self._progress = f"hour {due_h:.1f}, set {done} of {planned}"
         if self._gap is not None and done - 1 > self._gap[2]:
             self._end_gap()
-        now_s = self._mono_s()
+        now_s = self._machine.mono_s()
         if self._live is None and (done == planned or now_s - self._logged_s >= LOGGED_EVERY_S):
             self._logged_s = now_s
             self._put(self._progress)
 
-    def _hear_alarm(self, *, change: str, hour: float, priority: str, message: str, **_: Any) -> None:
+    def _hear_alarm(self, *, change: str, hour: float, priority: str, message: str, **_: object) -> None:
         is_active = change in ("alarm_raised", "alarm_priority_raised", "alarm_reactivated")
         text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
         self._put(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
@@ -204,7 +202,7 @@ class ProgressReport:
         self._put(f"waiting: {why}", style="yellow")
 
     def _hear_asked(
-        self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: Any
+        self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: object
     ) -> None:
         shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
         self._put(f"{text}{shot}: within {duration(within_s)}", style="bold")

@@ -26,6 +26,9 @@ PASSING = frozenset({408, 425, 429})
 LONGEST_LINE_BYTES = 10_000_000
 """Limit of the memory for a line without an end; the rest is dropped."""
 
+Parameter = str | int | float | bool | None
+Json = dict[str, Any]
+"""Answer of the service, or a part of it; `/api/v1/openapi.json` describes their names."""
 Events = Callable[[int, str | None], Iterator[dict[str, object]]]
 """Takes the id of an event and topics; yields events endlessly, in the order of their ids."""
 
@@ -53,7 +56,7 @@ class Connection:
         self._closed.set()
         self.http.close()
 
-    def get(self, path: str, **parameters: Any) -> dict[str, Any]:
+    def get(self, path: str, **parameters: Parameter) -> Json:
         """Return the JSON answer of a path below ``/api/v1/``.
 
         Raises
@@ -63,12 +66,12 @@ class Connection:
         """
         response = self.response(path, **parameters)
         try:
-            answer: dict[str, Any] = response.json()
+            answer: Json = response.json()
         except ValueError:
             raise _foreign_service_error(response) from None
         return answer
 
-    def response(self, path: str, **parameters: Any) -> httpx.Response:
+    def response(self, path: str, **parameters: Parameter) -> httpx.Response:
         """Return the response of a path below ``/api/v1/``; parameters that are None are left out."""
         parameters_given = {name: value for name, value in parameters.items() if value is not None}
         try:
@@ -80,9 +83,9 @@ class Connection:
         raise_refusal(response)
         return response
 
-    def pages(self, resource: str, **parameters: Any) -> tuple[list[dict[str, Any]], dict[str, Any]]:
+    def pages(self, resource: str, **parameters: Parameter) -> tuple[list[Json], Json]:
         """Read all pages of a listing; return its rows, and ``as_of`` of the last page."""
-        items: list[dict[str, Any]] = []
+        items: list[Json] = []
         cursor = None
         while True:
             page = self.get(resource, limit=LARGEST_PAGE, cursor=cursor, **parameters)
@@ -91,11 +94,11 @@ class Connection:
             if cursor is None:
                 return items, page["as_of"]
 
-    def events(self, after: int, topics: str | None) -> Iterator[dict[str, Any]]:
+    def events(self, after: int, topics: str | None) -> Iterator[Json]:
         """Yield events after an id endlessly, with ``gap`` and ``topic`` as in the stream."""
         return (self._events or self._stream_events)(after, topics)
 
-    def _stream_events(self, after: int, topics: str | None) -> Iterator[dict[str, Any]]:
+    def _stream_events(self, after: int, topics: str | None) -> Iterator[Json]:
         parameters: Mapping[str, str] = {} if topics is None else {"topics": topics}
         url, last_reason = self.http.base_url, ""
         while not self._closed.is_set():
@@ -148,7 +151,7 @@ def lines_of(chunks: Iterable[bytes]) -> Iterator[str]:
         yield from (line.decode(errors="replace") for line in complete)
 
 
-def parse_events(lines: Iterator[str]) -> Iterator[dict[str, Any]]:
+def parse_events(lines: Iterator[str]) -> Iterator[Json]:
     """Yield the events of server-sent lines, without heartbeats and the final `bye`.
 
     An unreadable frame is logged and skipped.

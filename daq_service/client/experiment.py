@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any, Literal, Self
+from typing import Literal, Self
 
 import pandas as pd
 import xarray
@@ -12,7 +12,7 @@ import xarray
 from daq_service.catalogue import rows
 from daq_service.catalogue.published_columns import Purposes
 from daq_service.catalogue.rows import Row
-from daq_service.client.connection import Connection
+from daq_service.client.connection import Connection, Json, Parameter
 from daq_service.client.errors import ClientError, RefusedError
 from daq_service.client.frames import frame
 from daq_service.client.waves import read_waveforms
@@ -36,7 +36,7 @@ class Event:
     position: str | None
     set_index: int | None
     unscheduled_index: int
-    data: dict[str, Any]
+    data: Json
 
 
 class Experiment:
@@ -61,7 +61,7 @@ class Experiment:
         """Close files and connections."""
         self._connection.close()
 
-    def info(self) -> dict[str, Any]:
+    def info(self) -> Json:
         """Return name, rig, clock, schedule, limits and positions (`/api/v1/info`)."""
         return self._connection.get("info")
 
@@ -198,6 +198,6 @@ class Experiment:
                 data=event,
             )
 
-    def _table(self, kind: type[Row], resource: str, **filters: Any) -> pd.DataFrame:
+    def _table(self, kind: type[Row], resource: str, **filters: Parameter) -> pd.DataFrame:
         items, as_of = self._connection.pages(resource, **filters)
         return frame(kind, items, as_of)

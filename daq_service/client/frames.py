@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import pandas as pd
 
 from daq_service.catalogue.published_columns import Form, PublishedColumn, described_columns, with_parts
 from daq_service.catalogue.rows import Row
+from daq_service.client.connection import Json
 
 DTYPES: dict[Form, str] = {"number": "float64", "integer": "Int64", "truth": "boolean", "text": "object"}
 
 
-def frame(kind: type[Row], items: Sequence[dict[str, Any]], as_of: dict[str, Any]) -> pd.DataFrame:
+def frame(kind: type[Row], items: Sequence[Json], as_of: Json) -> pd.DataFrame:
     """Return a table of rows; a missing value is NaN, NaT or NA.
 
     Returns

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 import numpy as np
 import pandas as pd
 import xarray
 
-from daq_service.client.connection import Connection
+from daq_service.client.connection import Connection, Json
 from daq_service.client.errors import ClientError
 
 PER_SHOT = ("set_index", "unscheduled_index", "shot_index", "sequence", "valid")
@@ -20,7 +19,7 @@ def read_waveforms(
     connection: Connection, position: str, method: str, indices: Sequence[int | str]
 ) -> xarray.DataArray:
     """Read the accepted waveforms of sets (`Experiment.waveforms`)."""
-    shots: list[Mapping[str, Any]] = []
+    shots: list[Json] = []
     for index in indices:
         results, _ = _read_results(connection, position, method, index)
         for shot in connection.get(f"sets/{position}/{index}/shots")["items"]:
@@ -66,7 +65,7 @@ def read_waveforms(
 
 def _read_results(
     connection: Connection, position: str, method: str, index: int | str
-) -> tuple[dict[int, dict[str, Any]], dict[str, Any]]:
+) -> tuple[dict[int, Json], Json]:
     """Return hour and quality of each waveform of a set, by its sequence number."""
     if method == "pulse_echo":
         items, as_of = connection.pages("thickness", position=position, set_index=index)

@@ -1,11 +1,15 @@
-"""Time of a computer: time elapsed since its boot, and whether its UTC is synchronised."""
+"""Clocks of the computer: monotonic time, time since its boot, UTC and whether that is synchronised."""
 
 from __future__ import annotations
 
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
+
+from daq_service.clock.boot import boot_name
+from hardware_drivers.nanoseconds import NS_PER_S
 
 KERNEL_GIVES_UP_US = 16_000_000
 """Linux: the kernel's estimate of the error of a clock that nobody synchronises, or no longer does."""
@@ -52,3 +56,39 @@ def is_synchronised(platform: str = sys.platform) -> bool:
     except (OSError, AttributeError):
         return False
     return bool(succeeded and timex.maxerror < KERNEL_GIVES_UP_US)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MachineClock:
+    """Times of this computer, and how it waits; a test passes times of its own.
+
+    Attributes
+    ----------
+    mono_ns
+        Monotonic time, for intervals and deadlines.
+    elapsed_ns
+        Time since the boot, sleep included.
+    utc_ns
+        UTC of the system, which may be set.
+    boot_name
+        Name of this boot; None where it has none.
+    is_synchronised
+        The kernel reports UTC as synchronised.
+    sleep
+        Waits a number of seconds.
+    """
+
+    mono_ns: Callable[[], int] = time.monotonic_ns
+    elapsed_ns: Callable[[], int] = elapsed_ns
+    utc_ns: Callable[[], int] = time.time_ns
+    boot_name: Callable[[], str | None] = boot_name
+    is_synchronised: Callable[[], bool] = is_synchronised
+    sleep: Callable[[float], None] = time.sleep
+
+    def mono_s(self) -> float:
+        """Return the monotonic time in s."""
+        return self.mono_ns() / NS_PER_S
+
+
+MACHINE = MachineClock()
+"""The clock of the computer that runs this process."""

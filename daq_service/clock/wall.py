@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 
-from daq_service.clock.boot import boot_name
-from daq_service.clock.machine import elapsed_ns, is_synchronised
+from daq_service.clock.machine import MACHINE, MachineClock
 from daq_service.clock.time_line import Before, Step, TimeLine
 from daq_service.clock.written import format_utc
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -28,30 +26,17 @@ class WallClock:
     ----------
     before
         What is known of an earlier recorder's time; None: time begins now.
-    system_ns, elapsed_ns, synchronised, boot, sleep
-        How the machine is asked and waited for; injected by tests.
     """
 
-    def __init__(
-        self,
-        before: Before | None = None,
-        *,
-        system_ns: Callable[[], int] = time.time_ns,
-        elapsed_ns: Callable[[], int] = elapsed_ns,
-        synchronised: Callable[[], bool] = is_synchronised,
-        boot: Callable[[], str | None] = boot_name,
-        sleep: Callable[[float], None] = time.sleep,
-    ) -> None:
-        self._system_ns, self._elapsed_ns = system_ns, elapsed_ns
-        self._synchronised, self._sleep = synchronised, sleep
-        self._boot = boot()
+    def __init__(self, before: Before | None = None, *, machine: MachineClock = MACHINE) -> None:
+        self._machine, self._boot = machine, machine.boot_name()
         self._steps: list[Step] = []
         system, elapsed = self._read_both()
         self._line = TimeLine(utc_ns=system, elapsed_ns=elapsed)
         self._doubted: Before | None = None
         if before is not None and before.line is not None:
             self._line = before.line
-        elif before is not None and before.doubt(system, synchronised=synchronised()):
+        elif before is not None and before.doubt(system, synchronised=machine.is_synchronised()):
             self._doubted = before
 
     def utc_ns(self) -> int:
@@ -68,14 +53,14 @@ class WallClock:
 
     def mono_ns(self) -> int:
         """Return the time elapsed since the boot in ns, sleep included."""
-        return self._elapsed_ns()
+        return self._machine.elapsed_ns()
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
         """Wait in short steps; a laptop's sleep only changes the steps left."""
         while (left_ns := utc_ns - self.utc_ns()) > 0:
             if not idle():
                 return False
-            self._sleep(min(left_ns / NS_PER_S, IDLE_INTERVAL_S))
+            self._machine.sleep(min(left_ns / NS_PER_S, IDLE_INTERVAL_S))
         return idle()
 
     def line(self) -> TimeLine | None:
@@ -106,13 +91,13 @@ class WallClock:
         waited = self._doubted is not None
         while self._doubted is not None:
             system, elapsed = self._read_both()
-            reason = self._doubted.doubt(system, synchronised=self._synchronised())
+            reason = self._doubted.doubt(system, synchronised=self._machine.is_synchronised())
             if not reason:
                 self._go_on(system, elapsed)
             elif not idle(reason):
                 return None
             elif self._doubted is not None:
-                self._sleep(IDLE_INTERVAL_S)
+                self._machine.sleep(IDLE_INTERVAL_S)
         return self._step(0, "the system's clock is believed") if waited else None
 
     def trust(self) -> str:
@@ -139,8 +124,8 @@ class WallClock:
     def _read_both(self) -> tuple[int, int]:
         """Read the system's UTC and the elapsed time of one moment, in ns."""
         for _ in range(LOOKS):
-            elapsed, system = self._elapsed_ns(), self._system_ns()
-            if self._elapsed_ns() - elapsed < TORN_NS:
+            elapsed, system = self._machine.elapsed_ns(), self._machine.utc_ns()
+            if self._machine.elapsed_ns() - elapsed < TORN_NS:
                 break
         return system, elapsed
 

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.line_file import append_line, newest_lines
 
 log = logging.getLogger(__name__)
@@ -67,13 +68,13 @@ class AuditEntry:
 class Allowance:
     """Rate limit: a burst of a maximum size, then one in each interval."""
 
-    def __init__(self, most: int, every_s: float, *, mono_s: Callable[[], float] = time.monotonic) -> None:
-        self._most, self._every_s, self._mono_s = most, every_s, mono_s
-        self._left, self._at_s = float(most), mono_s()
+    def __init__(self, most: int, every_s: float, *, machine: MachineClock = MACHINE) -> None:
+        self._most, self._every_s, self._machine = most, every_s, machine
+        self._left, self._at_s = float(most), machine.mono_s()
 
     def take(self) -> bool:
         """Return whether another one is allowed, and count it."""
-        now_s = self._mono_s()
+        now_s = self._machine.mono_s()
         self._left = min(self._most, self._left + (now_s - self._at_s) / self._every_s)
         self._at_s = now_s
         if self._left < 1.0:
@@ -85,8 +86,8 @@ class Allowance:
 class Audit:
     """Writer of the audit log of a data folder; thread-safe."""
 
-    def __init__(self, folder: Path, *, mono_s: Callable[[], float] = time.monotonic) -> None:
-        self._path, self._mono_s = folder / AUDIT_FILE, mono_s
+    def __init__(self, folder: Path, *, machine: MachineClock = MACHINE) -> None:
+        self._path, self._machine = folder / AUDIT_FILE, machine
         self._allowances: dict[str, Allowance] = {}
         self._left_out = 0
         self._lock = threading.Lock()
@@ -112,7 +113,7 @@ class Audit:
     def _allowance(self, entry: AuditEntry) -> Allowance:
         name = entry.who if entry.role not in ("", "claimed") else entry.role
         if name not in self._allowances:
-            self._allowances[name] = Allowance(MOST_REFUSALS, REFUSAL_EVERY_S, mono_s=self._mono_s)
+            self._allowances[name] = Allowance(MOST_REFUSALS, REFUSAL_EVERY_S, machine=self._machine)
         return self._allowances[name]
 
 

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from pydantic import AfterValidator, Field
 
-from daq_service.alarms.states import ALARMS_OF_CHANGE, NOT_ASSESSED, reset
+from daq_service.alarms.operator_actions import reset
+from daq_service.alarms.states import ALARMS_OF_CHANGE, NOT_ASSESSED
 from daq_service.assessment.baseline_lifecycle import APPROVED, COLLECTING, RETIRED, approve, renew
 from daq_service.commands.kinds import SEEN, Facts, Refusal, TransducerArguments, TransducerCommand
 from daq_service.settings.foreign_text import require_written

@@ -16,6 +16,7 @@ from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validat
 
 from daq_service.alarms import states
 from daq_service.alarms.clock_trouble import CLOCK_UNVERIFIED
+from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge, reset
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.clock import SimulatedClock, WallClock
 from daq_service.settings.foreign_text import WRITTEN, require_written
@@ -292,21 +293,21 @@ class AcknowledgeAlarm(StoredCommand):
     def _forbidden(self, facts: Facts) -> Refusal | None:
         wanted = self.arguments.alarm_id
         state = next((row.state for row in facts.alarms if row.id == wanted), None)
-        if state in states.AFTER_ACKNOWLEDGEMENT:
+        if state in AFTER_ACKNOWLEDGEMENT:
             return None
         if state is None:
             reason, sentence = f"there is no current alarm {wanted}", f"There is no alarm {wanted}."
             return Refusal(reason, "/api/v1/alarms lists them.", sentence, missing=True)
         return Refusal(
             f"alarm {wanted} is {state}: there is nothing to acknowledge",
-            f"Only alarms that are {' or '.join(states.AFTER_ACKNOWLEDGEMENT)} wait for an operator.",
+            f"Only alarms that are {' or '.join(AFTER_ACKNOWLEDGEMENT)} wait for an operator.",
         )
 
     def carry_out_stored(self, test: StoredTest) -> str:
         """Acknowledge the alarm and return the result."""
         (row,) = (row for row in test.alarms.values() if row.id == self.arguments.alarm_id)
         moment = test.moment()
-        test.change_alarms(moment, states.acknowledge(row, self.author, self.arguments.note, moment))
+        test.change_alarms(moment, acknowledge(row, self.author, self.arguments.note, moment))
         return "acknowledged"
 
 
@@ -479,9 +480,9 @@ class Enable(TransducerCommand):
             for (place, kind), row in test.alarms.items()
             if place == position and kind in states.RETIRING and row.state != "normal"
         ]
-        changes = [states.reset(row, self.author, self.arguments.note, moment) for row in standing]
+        changes = [reset(row, self.author, self.arguments.note, moment) for row in standing]
         test.change_alarms(moment, *changes)
-        test.reinstated(position)
+        test.enabled(position)
         return f"{position} strikes again from the next set"
 
 

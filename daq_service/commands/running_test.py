@@ -6,9 +6,10 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Protocol
 
-from daq_service.alarms.states import Change, Moment, without_expired_shelf
+from daq_service.alarms.operator_actions import without_expired_shelf
+from daq_service.alarms.states import Change, Moment
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.settings.tree import Settings
@@ -57,7 +58,7 @@ class StoredTest:
     annotations: Callable[[], Sequence[AnnotationRow]]
     store: Callable[[Transaction], None]
 
-    def store_event(self, kind: str, payload: Mapping[str, Any]) -> None:
+    def store_event(self, kind: str, payload: Mapping[str, object]) -> None:
         """Store an event of the service itself."""
         transaction = Transaction()
         transaction.add_event(kind, payload, self.moment())
@@ -88,7 +89,7 @@ class RunningTest(StoredTest):
 
     Attributes
     ----------
-    reinstated
+    enabled
         Called with a position that may strike again.
     confirmation
         Returns the request for a confirmation set, from position, author and reason; may raise ValueError.
@@ -108,7 +109,7 @@ class RunningTest(StoredTest):
 
     clock: Clock
     stop: threading.Event
-    reinstated: Callable[[str], None]
+    enabled: Callable[[str], None]
     confirmation: Callable[[str, str, str], Transaction]
     positions: Sequence[str]
     settings: Settings

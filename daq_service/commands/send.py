@@ -8,8 +8,6 @@ from __future__ import annotations
 
 import getpass
 import json
-import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
@@ -17,6 +15,7 @@ import click
 
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.rows import CommandRow
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.commands.audit import TERMINAL, Audit
 from daq_service.commands.deadline import command_state
 from daq_service.commands.registry import parse_command
@@ -42,7 +41,7 @@ def send_command(
     as_json: bool,
     within_s: float = START_WITHIN_S,
     carried_out_within_s: float = CARRIED_OUT_WITHIN_S,
-    wait: Callable[[float], None] = time.sleep,
+    machine: MachineClock = MACHINE,
     **arguments: str | float | None,
 ) -> int:
     """Send a command, wait for its answer and print it.
@@ -55,8 +54,6 @@ def send_command(
         None: the name of this user.
     within_s, carried_out_within_s
         Time to start it, after which it expires, and time from the start to the answer.
-    wait
-        Waits a number of seconds between two looks for the answer; injected by tests.
     **arguments
         What the kind needs beside the note; None is left out.
 
@@ -83,15 +80,15 @@ def send_command(
             _require_recorder(folder, catalogue)
             order_id = catalogue.add_command(author, kind, all_arguments, within_s=within_s)
             audit(result="accepted", command_id=order_id)
-            row = _wait_for_answer(catalogue, order_id, carried_out_within_s, wait)
+            row = _wait_for_answer(catalogue, order_id, carried_out_within_s, machine)
     except BusyError as error:
         audit(result="refused", why=str(error))
         raise
     if as_json:
         names = ("id", "kind", "author", "arguments", "state", "result")
         click.echo(json.dumps({name: getattr(row, name) for name in names}))
-    if row.state == "refused":
-        raise UsageError(f"the recorder refused to {kind}: {row.result}")
+    if row.state == "rejected":
+        raise UsageError(f"the recorder rejected {kind}: {row.result}")
     if row.state == "started":
         raise BusyError(
             f"the recorder began order {order_id} ({kind}) and has not answered within "
@@ -120,7 +117,7 @@ def _require_recorder(folder: Path, catalogue: Catalogue) -> None:
 
 
 def _wait_for_answer(
-    catalogue: Catalogue, order_id: int, carried_out_within_s: float, wait: Callable[[float], None]
+    catalogue: Catalogue, order_id: int, carried_out_within_s: float, machine: MachineClock
 ) -> CommandRow:
     """Wait for the answer to a command and return its row; after the time limit, its current row."""
     started_s: float | None = None
@@ -129,12 +126,12 @@ def _wait_for_answer(
         assert command is not None, "it was just written"
         row, _ = command
         if row.state == "started" and started_s is None:
-            started_s = time.monotonic()
+            started_s = machine.mono_s()
         if row.state not in ("pending", "started"):
             return row
-        if started_s is not None and time.monotonic() >= started_s + carried_out_within_s:
+        if started_s is not None and machine.mono_s() >= started_s + carried_out_within_s:
             return row
-        wait(LOOK_EVERY_S)
+        machine.sleep(LOOK_EVERY_S)
 
 
 def user_name() -> str:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from pydantic import AfterValidator, Field
 
 from daq_service.alarms import states
+from daq_service.alarms.operator_actions import LONGEST_SHELF_H, end_suppression, shelve, take_out_of_service
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.commands.kinds import LARGEST_ID, SEEN, AlarmArguments, Facts, Refusal, StoredCommand, Strict
 from daq_service.settings.foreign_text import require_written
@@ -33,9 +34,7 @@ class OutOfServiceArguments(Strict):
 class ShelfArguments(OutOfServiceArguments):
     """Which alarm, for how long, and why."""
 
-    for_h: float = Field(
-        gt=0.0, le=states.LONGEST_SHELF_H, allow_inf_nan=False, description="Then it is told again"
-    )
+    for_h: float = Field(gt=0.0, le=LONGEST_SHELF_H, allow_inf_nan=False, description="Then it is told again")
 
 
 class _AlarmOrder(StoredCommand):
@@ -73,9 +72,7 @@ class ShelveAlarm(_AlarmOrder):
 
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
         arguments = self.arguments
-        return states.shelve(
-            row, self.author, arguments.reason.strip(), arguments.for_h, moment, time.time_ns()
-        )
+        return shelve(row, self.author, arguments.reason.strip(), arguments.for_h, moment, time.time_ns())
 
 
 class UnshelveAlarm(_AlarmOrder):
@@ -85,7 +82,7 @@ class UnshelveAlarm(_AlarmOrder):
     arguments: AlarmArguments
 
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        return states.end_suppression(row, "shelved", self.author, self.arguments.note, moment)
+        return end_suppression(row, "shelved", self.author, self.arguments.note, moment)
 
 
 class TakeOutOfService(_AlarmOrder):
@@ -95,7 +92,7 @@ class TakeOutOfService(_AlarmOrder):
     arguments: OutOfServiceArguments
 
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        return states.take_out_of_service(row, self.author, self.arguments.reason.strip(), moment)
+        return take_out_of_service(row, self.author, self.arguments.reason.strip(), moment)
 
 
 class ReturnToService(_AlarmOrder):
@@ -105,4 +102,4 @@ class ReturnToService(_AlarmOrder):
     arguments: AlarmArguments
 
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
-        return states.end_suppression(row, "out_of_service", self.author, self.arguments.note, moment)
+        return end_suppression(row, "out_of_service", self.author, self.arguments.note, moment)

@@ -32,7 +32,7 @@ def signed_line(key: bytes, message: Message) -> bytes:
     return hmac.new(key, body, "sha256").hexdigest().encode() + b" " + body + b"\n"
 
 
-def verified_message(key: bytes, line: bytes) -> dict[str, Any] | None:
+def verified_message(key: bytes, line: bytes) -> Message | None:
     """Return the message of a line; None where it was not signed with this key."""
     signature, _, body = line.rstrip(b"\n").partition(b" ")
     if not hmac.compare_digest(signature, hmac.new(key, body, "sha256").hexdigest().encode()):
@@ -60,7 +60,7 @@ class Connection:
         if self.socket.send(line) != len(line):
             raise BlockingIOError("the other side does not read")
 
-    def received(self) -> list[dict[str, Any]]:
+    def received(self) -> list[Message]:
         """Return the received messages.
 
         Raises

@@ -7,10 +7,9 @@ the supervisor does so. It also checks periodically whether an output that was o
 from __future__ import annotations
 
 import logging
-import time
-from collections.abc import Callable
 from pathlib import Path
 
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.supply_state import read_stored_state
 from daq_service.processes.data_folder import DRIVE_LOCK, is_owned
@@ -38,15 +37,15 @@ class DriveGuard:
         remote: RemoteDrive,
         *,
         check_every_s: float,
-        mono_s: Callable[[], float] = time.monotonic,
+        machine: MachineClock = MACHINE,
     ) -> None:
-        self._folder, self._remote, self._mono_s = folder, remote, mono_s
+        self._folder, self._remote, self._machine = folder, remote, machine
         self._check_every_s = check_every_s
-        self._next_s = self._checked_s = mono_s()
+        self._next_s = self._checked_s = machine.mono_s()
 
     def check(self) -> None:
         """Start, connect to or replace the process, if that is due."""
-        now_s = self._mono_s()
+        now_s = self._machine.mono_s()
         if is_owned(self._folder, DRIVE_LOCK) is not False:
             self._checked_s = now_s
             self._remote.tick()

@@ -20,7 +20,7 @@ from dataclasses import asdict, replace
 from functools import cache, partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from daq_service.clock import WallClock, boot_name
 from daq_service.corrosion_drive.channel import Message, Server
@@ -106,7 +106,7 @@ class DriveProcess:
 
     def __init__(
         self,
-        take_lock: Callable[[], AbstractContextManager[Any]],
+        take_lock: Callable[[], AbstractContextManager[object]],
         open_supply: Callable[[], AbstractContextManager[PowerSupply]],
         parameters: DriveParameters,
         folder: Path,

@@ -12,15 +12,14 @@ import logging
 import os
 import signal
 import subprocess
-import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Self
 
 from daq_service.catalogue.rows import EnvironmentRow
-from daq_service.clock import elapsed_ns
-from daq_service.corrosion_drive.channel import Connection, connect
+from daq_service.clock import MACHINE, MachineClock
+from daq_service.corrosion_drive.channel import Connection, Message, connect
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import (
     SWITCH_OFF_BY_HAND,
@@ -67,7 +66,7 @@ def answered_within_s(parameters: DriveParameters) -> float:
 class _Request:
     """Request that was sent, or waits to be sent."""
 
-    values: Mapping[str, Any]
+    values: Message
     since_s: float
     reply: Reply
 
@@ -83,8 +82,6 @@ class RemoteDrive:
         Name of the supply's port; see `own_process.DriveProcess`.
     watches
         False: it only checks whether the process is alive, which then counts the recorder as absent.
-    mono_s, pause
-        The machine's monotonic time, and the wait for an answer at the end of a test.
     kill
         Ends a process that hangs, by its number.
     """
@@ -97,23 +94,22 @@ class RemoteDrive:
         *,
         supply_port: str = "",
         watches: bool = True,
-        mono_s: Callable[[], float] = time.monotonic,
-        pause: Callable[[float], None] = time.sleep,
+        machine: MachineClock = MACHINE,
         kill: Callable[[int], None] = lambda process: os.kill(process, KILL),
     ) -> None:
         self._parameters, self._folder, self._start = parameters, folder, start
         self._supply_port, self._watches = supply_port, watches
-        self._mono_s, self._pause, self._kill = mono_s, pause, kill
+        self._machine, self._kill = machine, kill
         self._connection: Connection | None = None
         self._answers = False
         self._process: subprocess.Popen[bytes] | None = None
         self._ids = itertools.count(1)
         self._sent: dict[int, _Request] = {}
         self._unsent: list[_Request] = []
-        self._pending: Mapping[str, Any] | None = None
+        self._pending: Message | None = None
         self._commanded: bool | None = None
-        self._newest: Mapping[str, Any] | None = None
-        self._newest_s = self._started_s = self._next_check_s = self._start_s = mono_s()
+        self._newest: Message | None = None
+        self._newest_s = self._started_s = self._next_check_s = self._start_s = machine.mono_s()
         self._starts = 0
         self._tripped: str | None = None
 
@@ -147,7 +143,7 @@ class RemoteDrive:
 
     def tick(self) -> None:
         """Read answers and send requests; start a missing process, replace one that hangs; never wait."""
-        now_s = self._mono_s()
+        now_s = self._machine.mono_s()
         for request in [request for request in self._unsent if now_s - request.since_s >= COMES_WITHIN_S]:
             self._unsent.remove(request)
             request.reply.error = "the process of the drive does not answer; nothing was sent to it"
@@ -205,17 +201,17 @@ class RemoteDrive:
         except (OSError, ValueError, LookupError, TypeError) as error:
             self._handle_lost_connection(error)
 
-    def _request(self, do: str, **values: Any) -> None:
-        self._send(_Request(values={"do": do, **values}, since_s=self._mono_s(), reply=Reply()))
+    def _request(self, do: str, **values: object) -> None:
+        self._send(_Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply()))
 
     def _send(self, request: _Request) -> None:
         assert self._connection is not None, "only called while connected"
         number = next(self._ids)
-        request.since_s = self._mono_s()
+        request.since_s = self._machine.mono_s()
         self._sent[number] = request
         self._connection.send({"id": number, **request.values})
 
-    def _process_answer(self, answer: Mapping[str, Any]) -> None:
+    def _process_answer(self, answer: Message) -> None:
         request = self._sent.pop(answer["id"], None)
         if request is not None:
             request.reply.error = answer.get("error", "")
@@ -223,7 +219,7 @@ class RemoteDrive:
         self._starts = 0
         if "row" not in answer:
             return
-        self._newest, self._newest_s, self._answers = answer, self._mono_s(), True
+        self._newest, self._newest_s, self._answers = answer, self._machine.mono_s(), True
         self._tripped, self._commanded = answer["row"]["supply_tripped"], answer.get("commanded")
         if request is not None and request.values == self._pending:
             self._pending = None  # a failed switch-off is retried by the process itself
@@ -257,7 +253,7 @@ class RemoteDrive:
         except (OSError, ValueError) as error:
             log.error("the process of the drive hangs and cannot be killed: %s", error)
         self._disconnect("the process of the drive hung, what the output does is unknown")
-        self._starts, self._start_s = 0, self._mono_s()
+        self._starts, self._start_s = 0, self._machine.mono_s()
 
     # Commands ------------------------------------------------------------------------------------
 
@@ -277,13 +273,16 @@ class RemoteDrive:
         self._command("trip", reason=reason)
         return False
 
-    def _command(self, do: str, **values: Any) -> Reply:
+    def _command(self, do: str, **values: object) -> Reply:
         if do == "energise":
-            until_ns = elapsed_ns() + round(self._parameters.read_timeout_s + COMES_WITHIN_S) * NS_PER_S
+            until_ns = (
+                self._machine.elapsed_ns()
+                + round(self._parameters.read_timeout_s + COMES_WITHIN_S) * NS_PER_S
+            )
             values["until_boot_ns"] = until_ns
-        request = _Request(values={"do": do, **values}, since_s=self._mono_s(), reply=Reply())
+        request = _Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply())
         self._unsent.append(request)
-        self._next_check_s = min(self._next_check_s, self._mono_s())
+        self._next_check_s = min(self._next_check_s, self._machine.mono_s())
         self.tick()
         return request.reply
 
@@ -295,9 +294,9 @@ class RemoteDrive:
         ConnectionLostError
             The state of the output is unknown; the switch-off is pending.
         """
-        reply, deadline_s = self.switch_off("the end of the test"), self._mono_s() + ENDS_WITHIN_S
-        while not (reply.done or reply.error) and self._mono_s() < deadline_s:
-            self._pause(PAUSE_S)
+        reply, deadline_s = self.switch_off("the end of the test"), self._machine.mono_s() + ENDS_WITHIN_S
+        while not (reply.done or reply.error) and self._machine.mono_s() < deadline_s:
+            self._machine.sleep(PAUSE_S)
             self.tick()
         if reply.done:
             return
@@ -334,7 +333,7 @@ class RemoteDrive:
                 active=True,
                 message=f"{SWITCH_OFF_PENDING} Its process does not answer. {SWITCH_OFF_BY_HAND}",
             )
-        missing_s = self._mono_s() - (self._started_s if self._newest is None else self._newest_s)
+        missing_s = self._machine.mono_s() - (self._started_s if self._newest is None else self._newest_s)
         is_lost = not self._answers and (self._newest is not None or missing_s >= COMES_WITHIN_S)
         if is_lost or missing_s >= answered_within_s(self._parameters):
             conditions["supply_not_responding"] = DriveCondition(
@@ -356,7 +355,7 @@ class RemoteDrive:
         if self._newest is None:
             return unknown
         row = replace(unknown, **self._newest["row"])
-        since_s = self._mono_s() - self._newest_s
+        since_s = self._machine.mono_s() - self._newest_s
         aged = replace(
             row,
             supply_age_s=None if row.supply_age_s is None else row.supply_age_s + since_s,
@@ -367,7 +366,7 @@ class RemoteDrive:
         return replace(
             aged,
             supply_state="unknown",
-            supply_quality="lost",
+            supply_quality="no_communication",
             unknown_s=None if row.unknown_s is None else row.unknown_s + since_s,
         )
 

@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 from pathlib import Path
 
-from daq_service.alarms.states import without_expired_shelf
+from daq_service.alarms.operator_actions import without_expired_shelf
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, EventRow

@@ -22,7 +22,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Literal
 
-from daq_service.clock import TimeLine, boot_name, elapsed_ns
+from daq_service.clock import MACHINE, MachineClock, TimeLine, boot_name
 from daq_service.shared_file import O_BINARY, read_hint
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -101,8 +101,7 @@ class Heartbeat:
         *,
         deadline_s: float,
         notify: Callable[..., None] = lambda event, **values: None,
-        mono_ns: Callable[[], int] = time.monotonic_ns,
-        boot: Callable[[], str | None] = boot_name,
+        machine: MachineClock = MACHINE,
         time_line: Callable[[], TimeLine | None] = lambda: None,
         file: str = FILE_NAME,
     ) -> None:
@@ -110,8 +109,7 @@ class Heartbeat:
         self._path = folder / file
         self._deadline_s = deadline_s
         self._notify = notify
-        self._mono_ns = mono_ns
-        self._boot = boot()
+        self._machine, self._boot = machine, machine.boot_name()
         self._time_line = time_line
         self._last_ns: int | None = None
         self._last_change_ns: int | None = None
@@ -121,7 +119,7 @@ class Heartbeat:
     def beat(self, doing: str, *, at_once: bool = False) -> None:
         """Write a beat with the present activity; ``at_once`` where a long wait begins."""
         doing = doing[:LONGEST_DOING]
-        now_ns = self._mono_ns()
+        now_ns = self._machine.mono_ns()
         is_change = doing != self._last_doing
         last_ns = self._last_change_ns if is_change else self._last_ns
         pause_ns = CHANGE_INTERVAL_COSTS * self._last_cost_ns if is_change else SHORTEST_INTERVAL_NS
@@ -145,7 +143,7 @@ class Heartbeat:
             _warn_once(self._path, f"cannot be written ({error}); the supervisor hears it all the same")
         self._last_ns, self._last_doing = now_ns, doing
         self._last_change_ns = now_ns if is_change else self._last_change_ns
-        self._last_cost_ns = self._mono_ns() - now_ns
+        self._last_cost_ns = self._machine.mono_ns() - now_ns
 
 
 def encoded(beat: Beat) -> bytes:
@@ -237,36 +235,30 @@ def web_beat() -> Beat:
     return Beat(process=os.getpid(), mono_ns=now_ns, deadline_s=WEB_DEADLINE_S, doing="serving")
 
 
-def web_state(folder: Path, *, mono_ns: Callable[[], int] = time.monotonic_ns) -> WebState:
+def web_state(folder: Path, *, machine: MachineClock = MACHINE) -> WebState:
     """Return whether the web service of a folder responds, does not respond, or is not expected."""
     beat = read_heartbeat(folder, WEB_FILE)
     if beat is None or beat.stage == "ended":
         return "not_expected"
-    age = age_s(beat, boot=boot_name(), mono_ns=mono_ns())
+    age = age_s(beat, boot=boot_name(), mono_ns=machine.mono_ns())
     return "responding" if age is not None and age <= beat.deadline_s else "not_responding"
 
 
 class WebWatch:
-    """Monitor that confirms whether the web service of a folder responds.
+    """Monitor that confirms whether the web service of a folder responds."""
 
-    Parameters
-    ----------
-    mono_ns
-        Monotonic time of this machine, ns.
-    """
-
-    def __init__(self, folder: Path, *, mono_ns: Callable[[], int] = time.monotonic_ns) -> None:
-        self._folder, self._mono_ns = folder, mono_ns
-        self._next_ns = mono_ns()
+    def __init__(self, folder: Path, *, machine: MachineClock = MACHINE) -> None:
+        self._folder, self._machine = folder, machine
+        self._next_ns = machine.mono_ns()
         self._until_ns: float | None = self._next_ns + WEB_STARTS_WITHIN_S * NS_PER_S
 
     def is_missing(self) -> bool | None:
         """Check at most once a second; None: not checked, or not confirmed yet."""
-        now_ns = self._mono_ns()
+        now_ns = self._machine.mono_ns()
         if now_ns < self._next_ns:
             return None
         self._next_ns = now_ns + NS_PER_S
-        if web_state(self._folder, mono_ns=self._mono_ns) != "not_responding":
+        if web_state(self._folder, machine=self._machine) != "not_responding":
             self._until_ns = None
             return False
         self._until_ns = self._until_ns or now_ns + WEB_ANSWERS_WITHIN_S * NS_PER_S
@@ -282,13 +274,11 @@ def time_line_of(beat: Beat | None, *, boot: str | None, elapsed_ns: int) -> Tim
     return TimeLine(utc_ns=beat.utc_ns, elapsed_ns=beat.elapsed_ns)
 
 
-def time_now_ns(
-    beat: Beat | None, *, boot: Callable[[], str | None] = boot_name, elapsed: Callable[[], int] = elapsed_ns
-) -> int | None:
+def time_now_ns(beat: Beat | None, *, machine: MachineClock = MACHINE) -> int | None:
     """Return the time of a test in real time, ns of UTC; None where no recorder of this boot reports it.
 
     It may differ from the system time, which may have been set since.
     """
-    now_ns = elapsed()
-    time_line = time_line_of(beat, boot=boot(), elapsed_ns=now_ns)
+    now_ns = machine.elapsed_ns()
+    time_line = time_line_of(beat, boot=machine.boot_name(), elapsed_ns=now_ns)
     return None if time_line is None else time_line.utc_ns + now_ns - time_line.elapsed_ns

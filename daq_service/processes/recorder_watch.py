@@ -6,20 +6,22 @@ row of the catalogue. A recorder takes over the alarm.
 
 from __future__ import annotations
 
-import time
 from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
 from daq_service.alarms.states import Moment, update
 from daq_service.catalogue import Catalogue, SetCommit
-from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
+from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.catalogue.store import NoDataYetError, open_for_one_command
+from daq_service.catalogue.writer import payload_of
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.freshness import Freshness
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import ScheduleSettings
 from hardware_drivers.nanoseconds import NS_PER_H
 
 MOST_RESTARTS, RESTARTS_WITHIN_S = 3, 600.0
@@ -34,22 +36,23 @@ class RecorderWatch:
 
     Parameters
     ----------
+    clock
+        Kind of the test's clock.
     catalogue
         Opens the catalogue, or returns the open one; `NoDataYetError` before the first record.
-    mono_s
-        Monotonic time of this machine, s.
     """
 
     def __init__(
         self,
-        settings: Settings,
+        schedule: ScheduleSettings,
+        clock: Literal["simulated", "wall"],
         folder: Path,
         catalogue: Callable[[], Catalogue],
         *,
-        mono_s: Callable[[], float] = time.monotonic,
+        machine: MachineClock = MACHINE,
     ) -> None:
-        self._settings, self._folder, self._catalogue = settings, folder, catalogue
-        self._mono_s, self._first_s = mono_s, mono_s()
+        self._schedule, self._clock, self._folder, self._catalogue = schedule, clock, folder, catalogue
+        self._machine, self._first_s = machine, machine.mono_s()
         self._process, self._process_since_s, self._ended = 0, 0.0, True
         self._restarts: deque[float] = deque(maxlen=MOST_RESTARTS)
         self._attended_h = 0.0
@@ -66,7 +69,7 @@ class RecorderWatch:
             catalogue = self._catalogue()
         except NoDataYetError:
             return
-        fresh = Freshness(self._folder, catalogue, self._settings.clock.kind)
+        fresh = Freshness(self._folder, catalogue, self._clock)
         recorded, rows = catalogue.newest_recorded(), catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
         stored_ns = (recorded and recorded.ended_utc_ns) or 0
         self._count_restarts(fresh)
@@ -83,22 +86,22 @@ class RecorderWatch:
             return
         if beat.process != self._process:
             if not self._ended:
-                self._restarts.append(self._mono_s())
+                self._restarts.append(self._machine.mono_s())
             elif fresh.recorder.status == "running":
                 self._attended_h = fresh.now_h  # started by a person, or with its computer
-            self._process, self._process_since_s = beat.process, self._mono_s()
+            self._process, self._process_since_s = beat.process, self._machine.mono_s()
         self._ended = beat.stage == "ended" or fresh.recorder.beat_age_s is None
 
     def _missing_reason(self, fresh: Freshness, stored_h: float, *, is_paused: bool) -> str:
         """Return the evidence that the recorder is missing; empty: there is none."""
-        now_s, status = self._mono_s(), fresh.recorder.status
+        now_s, status = self._machine.mono_s(), fresh.recorder.status
         if is_paused or status == "finished":
             self._attended_h = fresh.now_h
             self._restarts.clear()
         elif len(self._restarts) == MOST_RESTARTS and now_s - self._restarts[0] <= RESTARTS_WITHIN_S:
             self._restarts.clear()
             return f"{MOST_RESTARTS} restarts in {RESTARTS_WITHIN_S / 60.0:.0f} min"
-        due_h = due_hours(self._settings.schedule.phases, end_h=self._settings.schedule.end_h)
+        due_h = due_hours(self._schedule.phases, end_h=self._schedule.end_h)
         since_h = max(stored_h, self._attended_h, due_h[0])
         following = bisect_left(due_h, since_h)
         index = min(max(following, 1), len(due_h) - 1)

@@ -19,14 +19,13 @@ import os
 import queue
 import subprocess
 import threading
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from daq_service.clock import boot_name
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK
 from daq_service.processes.child import ANNOUNCEMENT, FAREWELL, PROGRAM
 from daq_service.processes.heartbeat import WEB_FILE, Beat, age_s, beat_of, read_heartbeat
@@ -120,8 +119,8 @@ class Supervisor:
         Time for children to end by themselves before they are killed.
     guard
         Called at every check: it does the work of a recorder that is missing or hangs.
-    start, read_beat, mono_ns
-        Start a program, read the heartbeat of a folder, return the machine's monotonic time.
+    start, read_beat
+        Start a program, read the heartbeat of a folder.
     """
 
     def __init__(
@@ -137,7 +136,7 @@ class Supervisor:
         guard: Callable[[], None] = lambda: None,
         start: Starter = start_process,
         read_beat: Callable[[Path], Beat | None] = read_heartbeat,
-        mono_ns: Callable[[], int] = time.monotonic_ns,
+        machine: MachineClock = MACHINE,
     ) -> None:
         self._children = [_Child(plan=plan) for plan in plans]
         self._folder = folder
@@ -151,8 +150,7 @@ class Supervisor:
         self._guard = guard
         self._start_process = start
         self._read_beat = read_beat
-        self._mono_ns = mono_ns
-        self._boot = boot_name()
+        self._machine, self._boot = machine, machine.boot_name()
         self._stay = False
 
     def run(self, stop: threading.Event, *, stay: bool) -> int:
@@ -185,7 +183,7 @@ class Supervisor:
         if child.finished:
             return None
         if child.process is None:
-            if self._mono_ns() >= child.start_at_ns:
+            if self._machine.mono_ns() >= child.start_at_ns:
                 self._readers = [reader for reader in self._readers if reader.is_alive()]
                 self._start(child)
             return None
@@ -220,7 +218,7 @@ class Supervisor:
         return self._plan_restart(child, code)
 
     def _plan_restart(self, child: _Child, code: int) -> int | None:
-        now_ns = self._mono_ns()
+        now_ns = self._machine.mono_ns()
         if now_ns - child.started_ns >= HEALTHY_AFTER_S * NS_PER_S:
             child.quick_failures = 0
         if self._give_up and child.quick_failures >= len(self._restart_delays_s):
@@ -238,7 +236,12 @@ class Supervisor:
 
     def _start(self, child: _Child) -> None:
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
-        child.started_ns, child.reported_beat, child.beat, child.cause = self._mono_ns(), None, None, ""
+        child.started_ns, child.reported_beat, child.beat, child.cause = (
+            self._machine.mono_ns(),
+            None,
+            None,
+            "",
+        )
         child.announced = None
         child.process = self._start_process(
             [*self._program, *arguments, *child.extra], child.plan.environment
@@ -284,7 +287,7 @@ class Supervisor:
     def _overdue(self, child: _Child) -> str:
         """Return why a running child must be killed; empty while its heartbeat is in time."""
         beats = (child.reported_beat, self._beat_in_file(child))
-        now_ns = self._mono_ns()
+        now_ns = self._machine.mono_ns()
         # A folder has one recorder: a beat since the start is this child's. Process numbers are reused, and
         # a launcher (Windows, virtual environments) has another one than its Python. A file that cannot be
         # read or written does not discard earlier beats.
@@ -324,10 +327,10 @@ class Supervisor:
         """Close every pipe at once, then wait; kill children that do not end."""
         for child in self._children:
             self._close_pipe(child)
-        deadline_ns = self._mono_ns() + round(self._leave_within_s * NS_PER_S)
+        deadline_ns = self._machine.mono_ns() + round(self._leave_within_s * NS_PER_S)
 
         def remaining_s(minimum_s: float) -> float:
-            return max(minimum_s, (deadline_ns - self._mono_ns()) / NS_PER_S)
+            return max(minimum_s, (deadline_ns - self._machine.mono_ns()) / NS_PER_S)
 
         for child in self._children:
             if child.process is None:

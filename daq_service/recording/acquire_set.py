@@ -8,15 +8,15 @@ from collections.abc import Callable, Iterator
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import RestrikeRule
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import Measurement, MissedShot, SetPlan, take_set
-from daq_service.acquisition.taken_set import TakenSet, features_of_a_rehearsal
+from daq_service.acquisition.shot_features import features_of_a_rehearsal
+from daq_service.acquisition.take_set import Measurement, MissedShot, SetPlan, TakenSet, take_set
 from daq_service.archive import OpenSet, PositionRecord, SetRecord
 from daq_service.clock import boot_id
 from daq_service.commands.execution import CommandExecutor
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.provenance import provenance
 from daq_service.recording.resources import Resources
-from daq_service.recording.set_assessor import SetAssessor, records_planned
+from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.measurement import Shot
 from hardware_drivers.methods import SOLITARY_WAVE
@@ -48,7 +48,7 @@ class SetAcquisition:
         self._settings, self._rig = resources.settings, resources.rig
         self._archive, self._live = resources.archive, resources.live
         self._set_assessor, self._persistence = assessor, persistence
-        self._commands = commands
+        self._commands, self._struck = commands, self._settings.names_of(SOLITARY_WAVE)
         self.features_of = features_of_a_rehearsal if self._rig.dry_run else features_of
         # Simulated time has one frame on every computer.
         self._in_real_time = resources.in_real_time
@@ -122,9 +122,7 @@ class SetAcquisition:
         measurements = take_set(
             self._rig,
             set_plan,
-            progress=taken.progress(self._settings.names_of(SOLITARY_WAVE))
-            if taken.progress(()).tried
-            else None,
+            progress=taken.progress(self._struck) if taken.progress(()).tried else None,
             first_sequence=self.next_sequence,
             boot_id=self._boot_id,
             idle=lambda: idle() and not self._commands.held,
@@ -162,9 +160,7 @@ class SetAcquisition:
 
     def is_complete(self, taken: TakenSet) -> bool:
         """Whether everything planned was tried."""
-        return taken.is_complete(
-            {name: records_planned(self._settings, name) for name in self._settings.positions}
-        )
+        return taken.is_complete(self._set_assessor.n_planned)
 
     def shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
         """State why a position has fewer records than planned; empty: it has all."""
@@ -174,7 +170,7 @@ class SetAcquisition:
             or self._commands.held
             or "the recorder was told to stop"
         )
-        return taken.shortfall(position, records_planned(self._settings, position), end_reason)
+        return taken.shortfall(position, self._set_assessor.n_planned[position], end_reason)
 
     def record_of(self, due: DueSet, taken: TakenSet, cut_short_reason: str) -> SetRecord:
         """Make the record of a set that is to be stored."""
@@ -182,7 +178,7 @@ class SetAcquisition:
             PositionRecord(
                 position=name,
                 method=place.method,
-                n_planned=records_planned(self._settings, name),
+                n_planned=self._set_assessor.n_planned[name],
                 cause=self.shortfall(name, taken, cut_short_reason),
                 label=place.label,
                 serial_number=place.serial_number,

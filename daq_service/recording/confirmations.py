@@ -6,9 +6,8 @@ know it, and no set is requested twice.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import asdict
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, replace
 
 from daq_service.acquisition.schedule import DueSet, due_hours, unscheduled_set
 from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, retired_positions
@@ -44,6 +43,8 @@ class Confirmations:
         Every one that was asked for, by its key.
     waiting
         Those of them without rows, by key in the order in which they were asked for.
+    last_results
+        Result of the newest one of each position that has one.
     set_ns
         How long one takes at most.
     """
@@ -56,7 +57,7 @@ class Confirmations:
         )
         self.asked: dict[SetKey, Confirmation] = {}
         self.waiting: dict[SetKey, Confirmation] = {}
-        self._last_results: dict[str, ConfirmationResult] = {}
+        self.last_results: dict[str, ConfirmationResult] = {}
         for one in read_confirmations(catalogue):
             self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
         for set_key in catalogue.committed_sets(self.waiting) if self.waiting else ():
@@ -64,7 +65,7 @@ class Confirmations:
         for position in {one.due.position for one in self.asked.values()} - {None}:
             last = newest_confirmation(catalogue, str(position))
             if last is not None:
-                self._last_results[str(position)] = last
+                self.last_results[str(position)] = last
 
     def take_event(self, event: EventRow) -> None:
         """Add a request, once its event is stored; other events are ignored."""
@@ -78,7 +79,7 @@ class Confirmations:
             if row.purpose == "confirmation":
                 self.waiting.pop(row.set_key, None)
                 assessment = next((one for one in stored.assessments if one.set_key == row.set_key), None)
-                self._last_results[row.position] = summarize_confirmation(row, assessment)
+                self.last_results[row.position] = summarize_confirmation(row, assessment)
 
     def room_ns(self, planned: DueSet, utc_ns: int) -> float:
         """Time that is left until the planned set after one."""
@@ -144,10 +145,16 @@ class Confirmations:
         transaction.add_event(CONFIRMATION_ASKED, one.payload(), moment, position=position)
         return one
 
-    def evidence(self, condition: Condition, planned_set: int) -> dict[str, Any]:
-        """Give what a confirmation set among the last sets adds to the evidence of a change."""
-        last = self._last_results.get(condition.position or "")
-        known = last is not None and planned_set - last.set_index < self._rules.n
-        if last is None or not known or condition.kind not in ALARMS_OF_CHANGE:
-            return {}
-        return {"confirmation": asdict(last)}
+    def with_result(
+        self, last: ConfirmationResult, conditions: Sequence[Condition], planned_set: int
+    ) -> Sequence[Condition]:
+        """Add the last confirmation set of a position to the evidence of a change, if it is new enough."""
+        if planned_set - last.set_index >= self._rules.n:
+            return conditions
+        confirmation = {"confirmation": asdict(last)}
+        return [
+            replace(condition, evidence={**condition.evidence, **confirmation})
+            if condition.kind in ALARMS_OF_CHANGE
+            else condition
+            for condition in conditions
+        ]

@@ -15,8 +15,8 @@ from typing import Any
 
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import Measurement
-from daq_service.acquisition.taken_set import TakenSet, features_of
+from daq_service.acquisition.shot_features import features_of
+from daq_service.acquisition.take_set import Measurement, TakenSet
 from daq_service.alarms.states import Moment
 from daq_service.archive import SetRecord
 from daq_service.assessment.transaction import Transaction
@@ -27,6 +27,7 @@ from daq_service.recording.clock_doubt import until_clock_is_believed
 from daq_service.recording.computer_load import MACHINE_READ
 from daq_service.recording.cost import Cost
 from daq_service.recording.due_sets import DueSets
+from daq_service.recording.empty_set import nothing_taken
 from daq_service.recording.opening import Opening, is_transient
 from daq_service.recording.operators import command_executor, listen_to_instruments
 from daq_service.recording.persistence import Persistence
@@ -100,7 +101,7 @@ class Recorder:
         if hindrance := self._hindrance(due):
             self._record_gap(due, hindrance)
             return
-        self._set_assessor.adopt()
+        self.waiting.attempt(self._set_assessor.adopt)
         self.waiting.announce(f"taking {_name_of(due)}")
         if due.position is None:
             self.waiting.next_set = due.set_index + 1
@@ -194,8 +195,6 @@ class Recorder:
         self._set_assessor.publish(transaction)
         self._persistence.after_set(due.set_key)
 
-    # Sets that are not taken, or not completely ---------------------------------------------------
-
     def _hindrance(self, due: DueSet) -> str:
         """State why a set that is due is not taken; empty: it is."""
         if reason := self._due_sets.hindrance(due):
@@ -218,7 +217,7 @@ class Recorder:
     def _record_nothing(
         self, due: DueSet, reasons: Mapping[str, str], utc_ns: int, tried: TakenSet | None = None
     ) -> None:
-        rows = partial(self._set_assessor.nothing_taken, due, reasons, utc_ns=utc_ns, tried=tried)
+        rows = partial(nothing_taken, self._set_assessor, due, reasons, utc_ns=utc_ns, tried=tried)
         self._persistence.post(rows, self._set_assessor.commit)
 
     def _stays_open(self, taken: TakenSet) -> bool:

@@ -1,35 +1,37 @@
-"""Turn every set into rows: assessed, empty, missed or retired, in one transaction with its alarms."""
+"""Assess a set: its rows, alarms and events in one transaction, and the states that later sets build on."""
 
 from __future__ import annotations
 
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, replace
+from dataclasses import asdict, fields, replace
+from typing import Any
 
+from analysis.assessment.exact_json import to_json
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import TakenSet, n_missed, n_restrikes
+from daq_service.acquisition.take_set import n_missed, n_restrikes
 from daq_service.alarms.delays import DELAY_EVENT, apply_delays
+from daq_service.alarms.operator_actions import end_expired_shelf
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
-from daq_service.alarms.rig_trouble import lost_cause, rig_condition
+from daq_service.alarms.rig_trouble import RIG_UNAVAILABLE, lost_cause, rig_condition
 from daq_service.alarms.states import (
     ALARMS_OF_CHANGE,
     Condition,
     Moment,
     add_evidence,
-    end_expired_shelf,
     retired_positions,
     update,
 )
 from daq_service.archive import SetReader, SetRecord
-from daq_service.assessment.assessor import PositionResult
+from daq_service.assessment.assessor import Assessor
 from daq_service.assessment.confirmation import summarize_confirmation
 from daq_service.assessment.methods import METHODS
-from daq_service.assessment.position_assessors import PositionAssessors
+from daq_service.assessment.restore_state import STATE_FORMAT
 from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
+from daq_service.catalogue import Catalogue, RecorderCatalogue
+from daq_service.catalogue.rows import AlarmRow, AssessorStateRow, EventRow, SetRow
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.recording.confirmations import Alarms, Confirmations
@@ -38,6 +40,9 @@ from hardware_drivers.instruments import Rig
 from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)
+
+FROZEN_FIELDS = frozenset({"healthy", "n_left_out", "baseline", "reference"})
+"""Fields of a state that rarely change. They are large and have a row of their own."""
 
 
 class SetAssessor:
@@ -56,6 +61,8 @@ class SetAssessor:
         The newest alarm of each position and kind, as stored.
     proven
         A whole set was taken in this folder: from then on trouble of its instruments costs sets only.
+    n_planned
+        Number of records wanted of each position in a set.
     confirmations
         Unscheduled sets.
     assessors
@@ -75,7 +82,12 @@ class SetAssessor:
         rehearsal: bool = False,
         news: Callable[..., None] = lambda event, **values: None,
     ) -> None:
-        self._settings = settings
+        self._settings, self._delays = settings, settings.alarms.kinds
+        self._positions_by_method = [settings.names_of(method) for method in METHODS]
+        self.n_planned = {
+            name: METHODS[place.method].records_planned(settings.schedule)
+            for name, place in settings.positions.items()
+        }
         self._catalogue = catalogue
         self._uncommitted: Transaction | None = None
         self._news = news
@@ -91,7 +103,7 @@ class SetAssessor:
         self.drive = None
         if rig is not None and (rig.supply or rig.climate or remote_drive):
             self.drive = DriveWatch(
-                settings.rig, rig, catalogue, self.alarms, self._carry_alarm, self.commit, remote_drive
+                settings.rig, rig, catalogue, self.alarms, self.carry_alarm, self.commit, remote_drive
             )
 
     def adopt(self) -> None:
@@ -137,16 +149,14 @@ class SetAssessor:
         for position in self.positions_of(due):
             if position not in causes:
                 cause = retired.get(position, "disabled")
-                transaction.sets.append(
-                    without_records(self._settings, due, position, retired=True, cause=cause)
-                )
+                transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             assessor = self.assessors[position]
             assess_set = assessor.assess_set if due.position is None else assessor.assess_unscheduled
             position_result = assess_set(due, record, features)
             row = replace(
-                without_records(self._settings, due, position, retired=False, cause=causes[position]),
+                self.without_records(due, position, retired=False, cause=causes[position]),
                 state="done" if not causes[position] else "partial" if measurements else "missed",
                 n_taken=len(measurements),
                 n_valid=position_result.n_valid,
@@ -159,25 +169,44 @@ class SetAssessor:
             )
             transaction.add_position(row, measurements, position_result, moment, record.outcomes)
             suspicions[position] = position_result.suspicion
-            for condition in position_result.conditions:
-                further = self.confirmations.evidence(condition, due.set_index)
-                self._carry_alarm(
-                    replace(condition, evidence=dict(condition.evidence) | further), moment, transaction
-                )
-        rig_now = _rig_condition(self._settings, due, record, proven=self.proven)
+            conditions, confirmed = position_result.conditions, self.confirmations.last_results.get(position)
+            if confirmed is not None:
+                conditions = self.confirmations.with_result(confirmed, conditions, due.set_index)
+            for condition in conditions:
+                self.carry_alarm(condition, moment, transaction)
         if due.position is not None:
-            _add_confirmation(self.alarms, due.position, transaction, moment)
-            if rig_now.present:  # one position that works proves nothing of the other instruments
-                self._carry_alarm(rig_now, moment, transaction)
+            add_confirmation(self.alarms, due.position, transaction, moment)
+        trouble, unanswered = record.trouble, self._unanswered(record)
+        has_trouble = bool(trouble or unanswered)
+        # One position that works proves nothing of the other instruments.
+        if has_trouble or (due.position is None and self._may_end(None, RIG_UNAVAILABLE)):
+            rig_now = rig_condition(due, trouble, unanswered, proven=self.proven)
+            self.carry_alarm(rig_now, moment, transaction)
+        if due.position is not None:
             return transaction
-        self._carry_alarm(rig_now, moment, transaction)
-        self._carry_alarm(recorder_condition("", due.due_h), moment, transaction)
+        if self._may_end(None, RECORDER_NOT_RUNNING):
+            self.carry_alarm(recorder_condition("", due.due_h), moment, transaction)
         self.proven = self.proven or not (record.trouble or any(causes.values()))
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
         for position, reason in suspicions.items():
             if reason:
                 self.confirmations.request(reason, due, position, standing, moment, transaction)
-        return self._with_environment(due, moment, transaction)
+        return self.with_environment(due, moment, transaction)
+
+    def without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+        """Make the row of a position that gave not one record, or was not asked for any."""
+        return SetRow(
+            set_index=due.set_index,
+            unscheduled_index=due.unscheduled_index,
+            position=position,
+            method=self._settings.positions[position].method,
+            due_utc_ns=due.due_utc_ns,
+            due_h=due.due_h,
+            state="disabled" if retired else "missed",
+            cause=cause or None,
+            n_planned=0 if retired else self.n_planned[position],
+            purpose=None if due.position is None else "confirmation",
+        )
 
     def positions_of(self, due: DueSet) -> list[str]:
         """Positions that a set is of."""
@@ -200,7 +229,7 @@ class SetAssessor:
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
         """Store what becomes of an alarm that belongs to no set."""
         transaction = Transaction()
-        self._carry_alarm(condition, moment, transaction)
+        self.carry_alarm(condition, moment, transaction)
         if transaction.events:
             self.commit(transaction)
 
@@ -214,10 +243,27 @@ class SetAssessor:
                 transaction.add_alarm(change, moment)
             self.commit(transaction)
 
-    def _carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
+    def _unanswered(self, record: SetRecord) -> str:
+        """Return why no instrument of a method answered in a set; empty: each method has a record."""
+        for names in self._positions_by_method:
+            if not any(item.key.position in names for item in record.records):
+                missed = [item for item in record.missed if item.key.position in names]
+                if missed and (cause := lost_cause(missed)):
+                    return cause
+        return ""
+
+    def _may_end(self, position: str | None, kind: str) -> bool:
+        """Return whether there is an alarm, or a delay before one, that an absent condition ends."""
+        return (position, kind) in self.alarms or (position, kind) in self._delayed_since_ns
+
+    def carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
+        """Add what becomes of an alarm with a condition, unless it is held back."""
         key = (condition.position, condition.kind)
         row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
-        to_follow, now_since_ns = apply_delays(row, condition, since_ns, moment, self._settings.alarms.kinds)
+        to_follow: Condition | None = condition
+        now_since_ns, rule = None, self._delays.get(condition.kind)
+        if rule is not None:
+            to_follow, now_since_ns = apply_delays(row, condition, since_ns, moment, rule)
         if now_since_ns != since_ns:
             delay = {"alarm_kind": condition.kind, "since_utc_ns": now_since_ns}
             transaction.add_event(DELAY_EVENT, delay, moment, position=condition.position, topic="alarms")
@@ -240,7 +286,7 @@ class SetAssessor:
             payload = event.payload
             self._delayed_since_ns[(event.position, payload["alarm_kind"])] = payload["since_utc_ns"]
 
-    def _with_environment(self, due: DueSet, moment: Moment, transaction: Transaction) -> Transaction:
+    def with_environment(self, due: DueSet, moment: Moment, transaction: Transaction) -> Transaction:
         """Add the readings of supply and climate probe since the last set."""
         if self.drive is not None:
             self.drive.add_row(transaction, due, moment)
@@ -261,7 +307,7 @@ class SetAssessor:
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             return
         # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
-        if keys or (self.assessors.reinstated and self._uncommitted is None):
+        if keys or (self.assessors.enabled and self._uncommitted is None):
             transaction.states |= self.assessors.changed_states()
         self._uncommitted = transaction if keys else self._uncommitted
         committed = self._catalogue.commit_set(transaction)
@@ -276,79 +322,8 @@ class SetAssessor:
         self.confirmations.take_rows(transaction)
         _report_changes(transaction, self._news)
 
-    def nothing_taken(
-        self, due: DueSet, causes: Mapping[str, str], *, utc_ns: int, tried: TakenSet | None = None
-    ) -> Transaction:
-        """Not one record: rows with the causes, but no file; to be committed.
 
-        Parameters
-        ----------
-        causes
-            Why there is none, by position.
-        tried
-            The attempts, which show the state of the instruments; None: there were none.
-        """
-        moment = Moment(utc_ns=utc_ns, due_h=due.due_h, **due.set_key._asdict())
-        transaction = Transaction()
-        retired = self.retired() if tried is None else tried.retired
-        for position in self.positions_of(due):
-            gone = position in retired
-            missed = (
-                []
-                if tried is None
-                else [key for key in (item.key for item in tried.missed) if key.position == position]
-            )
-            restrikes = sum(key.attempt > 0 for key in missed)
-            position_result = PositionResult()
-            if tried is not None and not gone and due.position is None:
-                position_result = self.assessors[position].assess_empty_set(due, len(missed) - restrikes)
-            row = replace(
-                without_records(
-                    self._settings,
-                    due,
-                    position,
-                    retired=gone,
-                    cause=retired.get(position) or causes[position],
-                ),
-                n_missed=len(missed),
-                n_restrikes=restrikes,
-            )
-            transaction.add_position(row, [], position_result, moment)
-            for condition in position_result.conditions:
-                self._carry_alarm(condition, moment, transaction)
-        if tried is not None and (tried.trouble is not None or tried.missed):
-            unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
-            payload = rig_condition(due, tried.instrument_error(), unanswered, proven=self.proven)
-            self._carry_alarm(payload, moment, transaction)
-        log.warning("set %s missed: %s", due.set_key, next(iter(causes.values())))
-        if due.position is not None:
-            _add_confirmation(self.alarms, due.position, transaction, moment)
-            return transaction
-        return self._with_environment(due, moment, transaction)
-
-
-def records_planned(settings: Settings, position: str) -> int:
-    """Count the records wanted of a position in a set."""
-    return METHODS[settings.positions[position].method].records_planned(settings.schedule)
-
-
-def without_records(settings: Settings, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
-    """Make the row of a position that gave not one record, or was not asked for any."""
-    return SetRow(
-        set_index=due.set_index,
-        unscheduled_index=due.unscheduled_index,
-        position=position,
-        method=settings.positions[position].method,
-        due_utc_ns=due.due_utc_ns,
-        due_h=due.due_h,
-        state="disabled" if retired else "missed",
-        cause=cause or None,
-        n_planned=0 if retired else records_planned(settings, position),
-        purpose=None if due.position is None else "confirmation",
-    )
-
-
-def _add_confirmation(alarms: Alarms, position: str, transaction: Transaction, moment: Moment) -> None:
+def add_confirmation(alarms: Alarms, position: str, transaction: Transaction, moment: Moment) -> None:
     """Add the result of a confirmation set to the active alarm of its position."""
     assessment = transaction.assessments[0] if transaction.assessments else None
     payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
@@ -356,17 +331,6 @@ def _add_confirmation(alarms: Alarms, position: str, transaction: Transaction, m
         row = alarms.get((position, kind))
         if row is not None and row.state != "normal":
             transaction.add_alarm(add_evidence(row, {"confirmation": payload}, moment), moment)
-
-
-def _rig_condition(settings: Settings, due: DueSet, record: SetRecord, *, proven: bool) -> Condition:
-    """Return whether the instruments of any method had trouble; each method has its own."""
-    unanswered = ""
-    for method in METHODS:
-        names = settings.names_of(method)
-        if not any(item.key.position in names for item in record.records):
-            missed = [item for item in record.missed if item.key.position in names]
-            unanswered = unanswered or lost_cause(missed)
-    return rig_condition(due, record.trouble, unanswered, proven=proven)
 
 
 def _report_changes(transaction: Transaction, news: Callable[..., None]) -> None:
@@ -387,3 +351,93 @@ def _report_changes(transaction: Transaction, news: Callable[..., None]) -> None
             priority=alarm.priority,
             message=alarm.message,
         )
+
+
+class PositionAssessors:
+    """Assessors by position, restored when they are first used.
+
+    Parameters
+    ----------
+    rehearsal
+        The waveforms are noise of a rehearsal.
+
+    Attributes
+    ----------
+    enabled
+        A person has enabled a transducer since the states were stored.
+    """
+
+    def __init__(self, settings: Settings, catalogue: Catalogue, archive: SetReader, rehearsal: bool) -> None:
+        self._settings, self._catalogue, self._archive = settings, catalogue, archive
+        self._rehearsal, self._configuration_hash = rehearsal, settings.configuration_hash()
+        self._assessors: dict[str, Assessor] = {}
+        self._stored: dict[str, object] = {}
+        self.enabled = False
+        for position in settings.positions:
+            self[position]  # an error of its state is reported at the start
+
+    def __getitem__(self, position: str) -> Assessor:
+        if position not in self._assessors:
+            method = METHODS[self._settings.positions[position].method]
+            self._assessors[position] = method.restored(
+                position, self._settings, self._catalogue, self._archive, self._rehearsal
+            )
+        return self._assessors[position]
+
+    def enable(self, position: str) -> None:
+        """Reset the reason why a transducer was disabled: a person has enabled it."""
+        self[position].enable()
+        self.enabled = True
+
+    def renew(self, position: str) -> None:
+        """Assess by what is stored from the next set on: a person has renewed the baseline."""
+        self._assessors.pop(position, None)
+        self._stored.pop(position, None)
+
+    @property
+    def states(self) -> dict[str, object]:
+        """Return the state of each position; set it to continue from an earlier one."""
+        return {position: assessor.state for position, assessor in self._assessors.items()}
+
+    @states.setter
+    def states(self, states: Mapping[str, object]) -> None:
+        for position, state in states.items():
+            self[position].state = state
+
+    def changed_states(self) -> dict[str, AssessorStateRow]:
+        """Return the rows of the states that have changed since the last call, by ``place``."""
+        rows: list[AssessorStateRow] = []
+        for position, assessor in self._assessors.items():
+            before, self._stored[position] = self._stored.get(position), assessor.state
+            rows += state_rows(
+                before,
+                assessor.state,
+                position=position,
+                baseline_id=assessor.baseline_id,
+                configuration_hash=self._configuration_hash,
+            )
+        self.enabled = False
+        return {row.place: row for row in rows}
+
+
+def state_rows(
+    before: Any, after: Any, *, position: str, baseline_id: int | None, configuration_hash: str
+) -> list[AssessorStateRow]:
+    """Return the rows of a state that differ from those of the state before; None: all of them."""
+    parts = {"frozen": FROZEN_FIELDS, "running": {item.name for item in fields(after)} - FROZEN_FIELDS}
+    rows = []
+    for part, names in parts.items():
+        values = {item.name: getattr(after, item.name) for item in fields(after) if item.name in names}
+        if before is not None and all(getattr(before, name) is value for name, value in values.items()):
+            continue
+        rows.append(
+            AssessorStateRow(
+                place=f"{position}/{part}",
+                position=position,
+                baseline_id=baseline_id,
+                configuration_hash=configuration_hash,
+                format=STATE_FORMAT,
+                state=to_json(values),
+            )
+        )
+    return rows

@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, field
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from daq_service.errors import RigError, UsageError
 from daq_service.rig.open_rig import CONTROL_VARIABLE
@@ -135,12 +135,14 @@ def _description(settings: Settings) -> Description:
     )
 
 
-def _rig_tables(settings: Settings, transport: str, grpc: str | None, *, has_probe: bool) -> dict[str, Any]:
+def _rig_tables(
+    settings: Settings, transport: str, grpc: str | None, *, has_probe: bool
+) -> dict[str, object]:
     """Return the table ``[rig]`` for the doubles' boards."""
     from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT
 
     adc, echo = settings.twin.adc, settings.twin.echo
-    tables: dict[str, Any] = {
+    tables: dict[str, object] = {
         "kind": "daqmx",
         "on_doubles": True,
         "daqmx": {

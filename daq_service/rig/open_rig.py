@@ -62,16 +62,12 @@ def open_rig(
     """
     asking = PersonRequests()
     instruments, opened = configured(settings), list[Opened]()
-    experiment = settings.model_dump(mode="json")
     with ExitStack() as stack:
         for item in instruments:
-            opening = opening_of(
-                item,
-                settings,
-                clock,
+            opening = replace(
+                opening_of(item, settings, clock),
                 ask=asking.ask,
                 epoch_utc_ns=epoch_utc_ns,
-                experiment=experiment,
                 preparing=preparing,
             )
             opened.append(stack.enter_context(item.kind.open(item.parameters, opening)))
@@ -94,14 +90,14 @@ def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
         yield opened.supply
 
 
-def opening_of(item: Instrument, settings: Settings, clock: Clock, **fields: Any) -> Opening:
-    """Return the `Opening` of an instrument; `fields` are further fields of it."""
+def opening_of(item: Instrument, settings: Settings, clock: Clock) -> Opening:
+    """Return how an instrument is opened for a look at it."""
     return Opening(
         clock=clock,
         serves=item.serves,
         boot_id=boot_id(),
         shot_interval_s=settings.schedule.shot_interval_s,
-        **{"experiment": settings.model_dump(mode="json"), **fields},
+        experiment=settings.model_dump(mode="json"),
     )
 
 

@@ -22,7 +22,7 @@ from multiprocessing.connection import Connection
 from typing import TYPE_CHECKING
 
 from daq_service.acquisition.schedule import plan
-from daq_service.acquisition.take_set import strikes_after
+from daq_service.acquisition.strikes_ahead import strikes_after
 from daq_service.errors import UsageError
 from daq_service.processes.worker import leave_with_parent, one_worker
 from daq_service.settings.tree import Settings
@@ -110,7 +110,7 @@ def _forward_messages(receiver: Connection, compiling: Callable[[bool], None]) -
 
 def records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
     """Compute records of strikes and their features in the worker (`Specimen.solitary_waves`)."""
-    from daq_service.acquisition.taken_set import analysed
+    from daq_service.acquisition.shot_features import analysed
 
     return analysed(_specimen(settings_json).solitary_waves(strikes))
 
@@ -132,7 +132,7 @@ def _specimen(settings_json: str) -> Specimen:
 def _prepare(settings_json: str, sender: Connection | None) -> None:
     """Build the specimen before the first strike."""
     leave_with_parent()
-    import daq_service.acquisition.taken_set  # noqa: F401 - while the recorder opens the test
+    import daq_service.acquisition.shot_features  # noqa: F401 - while the recorder opens the test
 
     if sender is not None:
         from simulator.numerics.machine_code import compilation_reported

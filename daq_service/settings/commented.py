@@ -12,7 +12,7 @@ import tomlkit
 from tomlkit.items import Float, Item, Table, Trivia
 
 from daq_service.settings.schema import describe
-from daq_service.settings.stored import KeyPath, flattened
+from daq_service.settings.tables import KeyPath, flattened
 
 WIDTH = 118
 COMMENT_COLUMN = 40

@@ -131,12 +131,12 @@ def with_defaults(settings: Settings) -> Settings:
 def plain(instrument: Instrument) -> dict[str, object]:
     """Return all parameters of an instrument, ready for JSON."""
     adapter: TypeAdapter[object] = TypeAdapter(instrument.kind.parameters)
-    values: dict[str, Any] = adapter.dump_python(instrument.parameters, mode="json")
+    values: dict[str, object] = adapter.dump_python(instrument.parameters, mode="json")
     return values
 
 
 def _instrument(
-    name: str, table: str, kind_name: str, values: Any, serves: Mapping[Role, tuple[str, ...]]
+    name: str, table: str, kind_name: str, values: object, serves: Mapping[Role, tuple[str, ...]]
 ) -> Instrument:
     try:
         kind, offer = find_kind(kind_name)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any, Self
+from typing import Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
 
+from daq_service.settings.tables import Tables, without
 from hardware_drivers.drive_parameters import NamedClimateProbe, NamedSupply
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.kinds import Role
@@ -32,11 +33,11 @@ class InstrumentSettings(BaseModel):
     """What it is: `daqmx`, `niscope`, or a name that an installed package offers."""
 
     @property
-    def parameters(self) -> dict[str, Any]:
+    def parameters(self) -> Tables:
         """Return the parameters of its kind, as plain values."""
         return self.model_dump(mode="json", exclude={"kind"})
 
-    def measured(self) -> dict[str, Any]:
+    def measured(self) -> Tables:
         """Return the parameters that affect the data: all but the address of the instrument."""
         try:
             kind, _ = find_kind(self.kind)
@@ -158,14 +159,3 @@ class MixedRig(BaseModel):
                 f"rig.positions.{unknown[0]} is no position of [positions], which has: {', '.join(methods)}; "
                 "add it there, or take it out here"
             )
-
-
-def without(values: Mapping[str, Any], paths: frozenset[str]) -> dict[str, Any]:
-    """Return nested tables without the keys at these dotted paths."""
-    kept = {}
-    for name, value in values.items():
-        if name in paths:
-            continue
-        below = frozenset(path.removeprefix(f"{name}.") for path in paths if path.startswith(f"{name}."))
-        kept[name] = without(value, below) if below and isinstance(value, Mapping) else value
-    return kept

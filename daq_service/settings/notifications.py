@@ -7,7 +7,7 @@ settings only name the place, so that no log, answer or copy of the configuratio
 from __future__ import annotations
 
 import re
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Literal, Self
 from urllib.parse import urlsplit
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
@@ -127,7 +127,7 @@ class RuleSettings(_Table):
 
     @model_validator(mode="before")
     @classmethod
-    def _current_names(cls, values: Any) -> Any:
+    def _current_names(cls, values: object) -> object:
         """Accept the key and the kinds of alarm of earlier versions."""
         if not isinstance(values, dict):
             return values

@@ -9,18 +9,13 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from typing import Any
 
 from pydantic import ValidationError
-from pydantic_settings import BaseSettings, PydanticBaseSettingsSource
 
 from daq_service.settings.instruments import ParametersError, with_defaults
+from daq_service.settings.tables import KeyPath, Tables, flattened, nested
 from daq_service.settings.tree import HASHED_OUT, Settings
 from hardware_drivers.errors import ConfigurationError
-
-KeyPath = tuple[str, ...]
-Tables = dict[str, Any]
-"""Nested tables of a file: their values have no type before they are validated as settings."""
 
 RENAMED: Mapping[str, str | None] = {}
 """Keys or tables of earlier versions: dotted path (``*``: any one name) to today's path with as many ``*``,
@@ -36,16 +31,7 @@ SHOWN = 12
 class _Stored(Settings):
     """The tree without the environment, which belongs to today's start."""
 
-    @classmethod
-    def settings_customise_sources(
-        cls,
-        settings_cls: type[BaseSettings],
-        init_settings: PydanticBaseSettingsSource,
-        env_settings: PydanticBaseSettingsSource,
-        dotenv_settings: PydanticBaseSettingsSource,
-        file_secret_settings: PydanticBaseSettingsSource,
-    ) -> tuple[PydanticBaseSettingsSource, ...]:
-        return (init_settings,)
+    reads_environment = False
 
 
 def stored_settings(values: Mapping[str, object]) -> Settings:
@@ -137,13 +123,13 @@ def _unknown(values: Tables) -> set[KeyPath]:
 
 
 def _is_hashed_out(path: KeyPath) -> bool:
-    below: Any = HASHED_OUT
+    below: object = HASHED_OUT
     for name in path:
-        if name not in below:
+        if not isinstance(below, Mapping | set) or name not in below:
             return False
-        if isinstance(below, set) or below[name] is True:
+        below = below[name] if isinstance(below, Mapping) else True
+        if below is True:
             return True
-        below = below[name]
     return False
 
 
@@ -166,25 +152,3 @@ def _path(location: tuple[int | str, ...]) -> KeyPath:
 
 def _value(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
     return json.dumps(flat[path]) if path in flat else "no value"
-
-
-def flattened(values: Mapping[str, object], above: KeyPath = ()) -> dict[KeyPath, object]:
-    """Return the values by the path of each key; an empty table and a list count as values."""
-    flat: dict[KeyPath, object] = {}
-    for name, value in values.items():
-        if isinstance(value, Mapping) and value:
-            flat |= flattened(value, (*above, name))
-        else:
-            flat[*above, name] = value
-    return flat
-
-
-def nested(values: Mapping[KeyPath, object]) -> Tables:
-    """Return nested tables from values by path; the inverse of `flattened`."""
-    tree: Tables = {}
-    for path, value in values.items():
-        below = tree
-        for name in path[:-1]:
-            below = below.setdefault(name, {})
-        below[path[-1]] = value
-    return tree

@@ -11,9 +11,10 @@ import hashlib
 import json
 import logging
 from collections.abc import Mapping
-from typing import Any, Literal, Self
+from typing import ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, field_validator, model_validator
+from pydantic.main import IncEx
 from pydantic_settings import BaseSettings, PydanticBaseSettingsSource, SettingsConfigDict
 
 from analysis.statistics.rules import MINIMUM_SETS, NOMINAL_RATE, AlarmRule, HoleRule
@@ -22,6 +23,7 @@ from daq_service.clock import parse_utc
 from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS, AlarmKindSettings
 from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.rig import RigSettings
+from daq_service.settings.tables import Tables
 from daq_service.settings.web import WebSettings
 from hardware_drivers.daqmx import parameters as daqmx
 from hardware_drivers.drive_parameters import CLIMATE_KEYS, WATCH_KEYS
@@ -37,7 +39,7 @@ log = logging.getLogger(__name__)
 FILLED_AT_MOST = 0.99
 """Of the time from set to set by strikes: a set that fills all of it begins later each time, until one is
 missed."""
-HASHED_OUT: Mapping[str, Any] = {
+HASHED_OUT: Mapping[str, IncEx | bool] = {
     "site": True,
     "web": True,
     "notifications": True,
@@ -290,7 +292,7 @@ class StorageSettings(Section):
 
     @model_validator(mode="before")
     @classmethod
-    def _journal_is_always_used(cls, values: Any) -> Any:
+    def _journal_is_always_used(cls, values: object) -> object:
         if not (isinstance(values, dict) and "journal" in values):
             return values
         if values["journal"] is not True:
@@ -317,6 +319,8 @@ class Settings(BaseSettings):
         env_prefix="SOLIMON_",
         env_nested_delimiter="__",
     )
+
+    reads_environment: ClassVar[bool] = True
 
     name: str = Field(default="Localized corrosion of a steel plate", min_length=1, max_length=200)
     """Name of the experiment."""
@@ -351,11 +355,11 @@ class Settings(BaseSettings):
         file_secret_settings: PydanticBaseSettingsSource,
     ) -> tuple[PydanticBaseSettingsSource, ...]:
         """Return the sources: the environment overrides the file; no `.env` file is read."""
-        return env_settings, init_settings
+        return (env_settings, init_settings) if cls.reads_environment else (init_settings,)
 
     @model_validator(mode="before")
     @classmethod
-    def _positions_inherit(cls, values: Any) -> Any:
+    def _positions_inherit(cls, values: object) -> object:
         """Fill a position's chain, plate and corrosion from the top-level tables of the same name."""
         if not isinstance(values, dict):
             return values
@@ -364,9 +368,10 @@ class Settings(BaseSettings):
             positions = {name: _position_values(place) for name, place in _paper_positions().items()}
         if not isinstance(positions, dict):
             return values
-        filled = {}
-        for name, place in positions.items():
-            filled[name] = _with_inherited_tables(place, values) if isinstance(place, dict) else place
+        filled = {
+            name: _with_inherited_tables(place, values) if isinstance(place, dict) else place
+            for name, place in positions.items()
+        }
         return {**values, "positions": filled}
 
     @field_validator("positions")
@@ -444,7 +449,7 @@ class Settings(BaseSettings):
             return self.alarms.false_alarms_per_sensor_year
         return of_all / sum(place.method == SOLITARY_WAVE for place in self.positions.values())
 
-    def measured(self) -> dict[str, Any]:
+    def measured(self) -> Tables:
         """Return the settings that affect the data, ready for JSON: all but `HASHED_OUT`."""
         values = self.model_dump(mode="json", exclude=dict(HASHED_OUT))
         rig = values["rig"]

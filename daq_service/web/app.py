@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from types import ModuleType
-from typing import Any
 
 from fastapi import APIRouter, Depends, FastAPI
 from starlette.middleware.gzip import GZipMiddleware
+from starlette.types import Lifespan
 
 from daq_service.settings.tree import Settings
-from daq_service.web import assets
+from daq_service.web import assets, routes
 from daq_service.web.answers import problem
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import problem_schemas, problems
@@ -21,68 +23,14 @@ from daq_service.web.auth.middleware import AuthenticationMiddleware
 from daq_service.web.context import Context, context_of
 from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
-from daq_service.web.routes import (
-    alarms,
-    annotation,
-    assessments,
-    audit,
-    commands,
-    environment,
-    features,
-    files,
-    fits,
-    guidance,
-    health,
-    info,
-    metrics,
-    notifications,
-    page,
-    record_files,
-    report,
-    session,
-    set_waveforms,
-    sets,
-    stream,
-    tables,
-    thickness,
-    tokens,
-    transducers,
-    trends,
-    waterfall,
-    waveforms,
-)
+from daq_service.web.routes import health, metrics, page
 from daq_service.web.routes.admission import admit
-from daq_service.web.routes.description import describe_names, describe_roles
+from daq_service.web.routes.description import OpenApi, describe_names, describe_roles
 from daq_service.web.routes.parameters import refuse_unknown_parameters
 
-RESOURCES = (
-    info,
-    health,
-    transducers,
-    sets,
-    set_waveforms,
-    features,
-    thickness,
-    assessments,
-    trends,
-    fits,
-    waterfall,
-    waveforms,
-    environment,
-    alarms,
-    annotation,
-    guidance,
-    commands,
-    stream,
-    session,
-    tokens,
-    audit,
-    tables,
-    record_files,
-    files,
-    notifications,
-    report,
-)
+_MODULES = (import_module(found.name) for found in iter_modules(routes.__path__, f"{routes.__name__}."))
+RESOURCES = tuple(one for one in _MODULES if hasattr(one, "router") and one is not page)
+"""Every module of `routes` that has a router."""
 SMALL_BYTES = 2048
 """Two packets: smaller answers are not compressed."""
 
@@ -96,18 +44,22 @@ async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
 class Service(FastAPI):
     """FastAPI whose errors are problem details, and whose description knows them."""
 
-    def __init__(self, **options: Any) -> None:
+    def __init__(self, title: str, description: str, lifespan: Lifespan[FastAPI] | None = None) -> None:
         super().__init__(
+            title=title,
+            version=API_VERSION,
+            description=description,
+            lifespan=lifespan,
             openapi_url="/api/v1/openapi.json",
             # Their pages load scripts from elsewhere; this service works offline.
             docs_url=None,
             redoc_url=None,
             default_response_class=JsonAnswer,
-            **options,
+            generate_unique_id_function=lambda route: route.name,  # the function, as in the table of roles
         )
         problem.install(self)
 
-    def openapi(self) -> dict[str, Any]:
+    def openapi(self) -> OpenApi:
         """Return the OpenAPI 3.1 description of the interface."""
         if self.openapi_schema is None:
             document = super().openapi()
@@ -133,17 +85,16 @@ def create_app(settings: Settings, data_folder: Path, *, no_person: bool = False
     return app
 
 
-def application_of_test(**options: Any) -> Service:
+def application_of_test(lifespan: Lifespan[FastAPI] | None = None) -> Service:
     """Return an application with the routes of a test; `context.context_at` selects the test of a request."""
     app = Service(
-        title="solimon",
-        version=API_VERSION,
-        description=(
+        "solimon",
+        (
             "State, history and live stream of a test with highly nonlinear solitary waves. Values are "
             "SI with the unit in the name; `null` is not available; times are RFC 3339 UTC beside hours "
             "of the experiment; ranges are half-open; errors are problem details (RFC 9457)."
         ),
-        **options,
+        lifespan,
     )
     app.include_router(health.probes)
     app.include_router(metrics.probes)

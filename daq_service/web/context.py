@@ -193,7 +193,7 @@ class Freshness(freshness.Freshness):
     def _baselines(self) -> dict[int, BaselineRow]:
         return self._catalogue.baselines_by_id()
 
-    def as_of(self) -> dict[str, Any]:
+    def as_of(self) -> dict[str, object]:
         """Return the part `as_of` of an answer."""
         return {
             "clock": self.clock,
@@ -208,14 +208,14 @@ class Freshness(freshness.Freshness):
         """Return the RFC 3339 time of an hour of the test."""
         return rfc3339_of_hour(self.epoch_utc_ns, hour)
 
-    def row(self, row: Row, **extra_columns: Any) -> dict[str, Any]:
+    def row(self, row: Row, **extra_columns: object) -> dict[str, object]:
         """Return a row of the catalogue for an answer: times as text, and its age if it has an hour."""
         if isinstance(row, AlarmRow):
             row = self.standing(row)
             extra_columns |= {"evidence_sentences": evidence_sentences(row, self._baselines)}
         answer = with_utc({**values(row), **extra_columns}, self.epoch_utc_ns)
         dated_h = answer.get("raised_h", answer.get("due_h"))
-        return answer if dated_h is None else answer | {"age_h": self.age_h(dated_h)}
+        return answer | {"age_h": self.age_h(dated_h)} if isinstance(dated_h, int | float) else answer
 
 
 def context_of(app: FastAPI) -> Context:

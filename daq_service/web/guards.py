@@ -125,56 +125,30 @@ def _replay_body(body: bytes, receive: Receive) -> Receive:
 
 
 def _too_large(size: str) -> Problem:
-    return Problem(
-        413,
-        "body-too-large",
-        "The request body is too large",
-        f"The body has {size} bytes; the limit is {LARGEST_BODY_BYTES}.",
-        "Commands are small: shorten the note.",
-    )
+    return Problem("body-too-large", f"The body has {size} bytes; the limit is {LARGEST_BODY_BYTES}.")
 
 
 def _too_slow() -> Problem:
-    return Problem(
-        408,
-        "body-too-slow",
-        "The request body did not come",
-        f"The body was not whole within {BODY_WITHIN_S:g} s.",
-        "Send it again at once.",
-    )
+    return Problem("body-too-slow", f"The body was not whole within {BODY_WITHIN_S:g} s.")
 
 
 def _find_problem(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
     if (header_bytes := sum(len(name) + len(value) for name, value in headers.raw)) > LARGEST_HEADERS_BYTES:
         return Problem(
-            431,
             "headers-too-large",
-            "The request headers are too large",
             f"The headers have {header_bytes} bytes; the limit is {LARGEST_HEADERS_BYTES}.",
-            "Clear the cookies of this address.",
         )
     host = _joined_header(headers, "host")
     if _hostname(f"//{host}") not in names:
         return Problem(
-            400,
-            "foreign-host",
-            "Unknown host name",
-            f"Host is {host!r}; this service answers to {', '.join(sorted(names))} only.",
-            "Open the address that the service printed, or name this one in web.host_names.",
+            "foreign-host", f"Host is {host!r}; this service answers to {', '.join(sorted(names))} only."
         )
     streams = scope["type"] == "websocket" or scope["path"].endswith(EVENTS)
     origin = _joined_header(headers, "origin")
     is_foreign = "cross-site" in _joined_header(headers, "sec-fetch-site") and _hostname(origin) not in names
     reads_across = "/api/" in scope["path"] and is_foreign
     if reads_across or ((streams or scope["method"] not in SAFE_METHODS) and not is_same_origin(headers)):
-        return Problem(
-            403,
-            "foreign-origin",
-            "Request from another origin",
-            f"Origin is {origin!r}, but the request went to {host!r}.",
-            "Only the service's own dashboard and programs without a browser may ask; name another host "
-            "that serves pages of this service in web.host_names.",
-        )
+        return Problem("foreign-origin", f"Origin is {origin!r}, but the request went to {host!r}.")
     size = headers.get("content-length", "0")
     if scope["type"] == "http" and (not size.isdecimal() or int(size[:9]) > LARGEST_BODY_BYTES):
         return _too_large(size)

@@ -5,7 +5,6 @@ import re
 import subprocess
 import sys
 import threading
-from collections.abc import Iterator
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, HTTPServer
 from pathlib import Path
@@ -20,11 +19,11 @@ STEPS = [tuple(line.split(maxsplit=1)) for line in LINES if line.strip()]
 """Each instruction and its arguments, in order."""
 
 
-def arguments_of(instruction: str) -> list[str]:
+def arguments_of(instruction):
     return [words for name, words in STEPS if name == instruction]
 
 
-def test_every_instruction_is_one() -> None:
+def test_every_instruction_is_one():
     known = {"FROM", "WORKDIR", "COPY", "RUN", "USER", "VOLUME", "EXPOSE", "HEALTHCHECK", "ENTRYPOINT", "CMD"}
     assert {name for name, _ in STEPS} <= known
     assert [words.partition(" ")[0] for words in arguments_of("FROM")] == ["python:3.11-slim"] * 2, (
@@ -32,12 +31,12 @@ def test_every_instruction_is_one() -> None:
     )
 
 
-def test_every_copied_file_exists() -> None:
+def test_every_copied_file_exists():
     here = [words.split()[:-1] for words in arguments_of("COPY") if not words.startswith("--from")]
     assert [name for names in here for name in names if not (ROOT / name).exists()] == []
 
 
-def test_the_container_runs_as_an_unprivileged_user_on_its_own_folder() -> None:
+def test_the_container_runs_as_an_unprivileged_user_on_its_own_folder():
     last = STEPS[max(index for index, step in enumerate(STEPS) if step[0] == "FROM") :]
     order = [step for step in last if step[0] in ("RUN", "USER", "VOLUME", "ENTRYPOINT")]
     assert [name for name, _ in order] == ["RUN", "USER", "VOLUME", "ENTRYPOINT"]
@@ -46,7 +45,7 @@ def test_the_container_runs_as_an_unprivileged_user_on_its_own_folder() -> None:
     assert (order[1][1], order[2][1]) == ("solimon", "/data")
 
 
-def test_the_container_starts_our_command_on_its_exposed_port() -> None:
+def test_the_container_starts_our_command_on_its_exposed_port():
     program, *_ = json.loads(arguments_of("ENTRYPOINT")[0])
     word, *arguments = json.loads(arguments_of("CMD")[0])
     options = command_of(word).make_context(word, arguments).params
@@ -55,15 +54,15 @@ def test_the_container_starts_our_command_on_its_exposed_port() -> None:
 
 
 @contextmanager
-def page(status: int) -> Iterator[int]:
+def page(status):
     """Serve a page with this status; yield its port."""
 
     class Page(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
+        def do_GET(self):
             self.send_response(status if self.path == "/healthz" else 404)
             self.end_headers()
 
-        def log_message(self, *words: object) -> None:
+        def log_message(self, *words):
             """Log nothing."""
 
     with HTTPServer(("127.0.0.1", 0), Page) as server:
@@ -77,7 +76,7 @@ def page(status: int) -> Iterator[int]:
 
 
 @pytest.mark.parametrize(("status", "healthy"), [(200, True), (503, False), (None, False)])
-def test_the_health_check_requests_the_page(status: int | None, healthy: bool) -> None:
+def test_the_health_check_requests_the_page(status, healthy):
     python, dash_c, program = json.loads(arguments_of("HEALTHCHECK")[0].partition("CMD ")[2])
     assert (python, dash_c) == ("python", "-c")
     with page(status or 200) as port:

@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[2]
     ],
     ids=lambda command: "-".join(dict.fromkeys(command)),
 )
-def test_house_rules_hold(command: list[str]) -> None:
+def test_house_rules_hold(command):
     module, *arguments = command
     program = (
         [sys.executable, "-c", "from importlinter.cli import lint_imports_command as main; main()"]

@@ -23,7 +23,7 @@ CODE = re.compile(
 TEXT = re.compile(r"(?:\\.|\$(?!\{)|[^`\\$])*", flags=re.DOTALL)
 
 
-def names_of_script(script: str) -> set[str]:
+def names_of_script(script):
     """Return the identifiers of a script, without its comments, strings and regular expressions.
 
     The expressions within template literals count, at any depth.
@@ -47,7 +47,7 @@ def names_of_script(script: str) -> set[str]:
     return found
 
 
-def names_of(path: Path) -> set[str]:
+def names_of(path):
     """Return the identifiers of a script, and the classes and ids of a page or a style sheet."""
     content = path.read_text(encoding="utf-8")
     if path.suffix == ".js":
@@ -57,14 +57,14 @@ def names_of(path: Path) -> set[str]:
     return {name for value in re.findall(r'(?:id|class|for)="([^"]+)"', content) for name in value.split()}
 
 
-def refused_words_in(name: str) -> list[str]:
+def refused_words_in(name):
     """Return the refused words that a name has, in camel, snake or kebab case."""
     words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
     found = [word for word in words if {word, word.removesuffix("s")}.intersection(REFUSED)]
     return found + [word for word in words[1:][-1:] if f"*_{word}" in REFUSED]
 
 
-def test_no_line_of_the_page_is_long() -> None:
+def test_no_line_of_the_page_is_long():
     assert len(FILES) > 60
     long = [
         f"{path.relative_to(PAGE)}:{number}"
@@ -75,7 +75,7 @@ def test_no_line_of_the_page_is_long() -> None:
     assert long == [], f"over {WIDTH} characters: `nox -s format`, and split what it leaves"
 
 
-def test_no_name_of_the_page_has_a_refused_word() -> None:
+def test_no_name_of_the_page_has_a_refused_word():
     found = {(name, path.name) for path in FILES for name in {path.stem, *names_of(path)}}
     assert {(name, file) for name, file in found if refused_words_in(name)} == set()
 
@@ -88,7 +88,7 @@ def test_no_name_of_the_page_has_a_refused_word() -> None:
         ("`told ${toldAt + `${x ? '}' : {y}} said`} anew` + b", {"toldAt", "x", "y", "b"}),
     ],
 )
-def test_names_are_those_of_the_code_alone(script: str, names: set[str]) -> None:
+def test_names_are_those_of_the_code_alone(script, names):
     assert names_of_script(script) == names
 
 
@@ -102,5 +102,5 @@ def test_names_are_those_of_the_code_alone(script: str, names: set[str]) -> None
         ("aside", []),
     ],
 )
-def test_words_are_found_in_any_case(name: str, words: list[str]) -> None:
+def test_words_are_found_in_any_case(name, words):
     assert refused_words_in(name) == words

@@ -11,9 +11,6 @@ OPTIONS = "one parameter for each option of the command line, as click passes th
 QUERY = "one parameter for each query parameter of the route, as FastAPI reads them"
 EXCEPTIONS = {
     ("daq_service/archive/journal/frames.py", "_frame", "parameters"): "one for each field of the format",
-    ("daq_service/assessment/solitary_wave.py", "SolitaryWaveAssessor", "class"): (
-        "one state of a position that each method reads or changes"
-    ),
     (
         "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
         "upgrade",
@@ -24,7 +21,7 @@ EXCEPTIONS = {
     ("daq_service/cli/offline/features.py", "run_features", "parameters"): OPTIONS,
     ("daq_service/cli/set_up/setup.py", "run_setup", "parameters"): OPTIONS,
     ("daq_service/cli/simulate.py", "print_simulation", "parameters"): OPTIONS,
-    ("daq_service/commands/send.py", "send_command", "parameters"): "two times and a pause for tests",
+    ("daq_service/commands/send.py", "send_command", "parameters"): "two times and the clock for tests",
     (
         "daq_service/corrosion_drive/drive.py",
         "SupplyLogger",
@@ -35,9 +32,6 @@ EXCEPTIONS = {
         "RemoteDrive",
         "class",
     ): "one connection and the requests on it",
-    ("daq_service/processes/notifications/receiver.py", "ReceiverQueue", "class"): (
-        "messages and heartbeats of a receiver share its state"
-    ),
     ("daq_service/processes/notifications/receiver.py", "ReceiverQueue.__init__", "parameters"): (
         "two clocks and chance for tests"
     ),

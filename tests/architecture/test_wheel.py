@@ -11,10 +11,11 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
+TEMPLATES = sorted((ROOT / "daq_service/web/templates").glob("*.*"))
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def wheel(tmp_path_factory):
     folder = tmp_path_factory.mktemp("wheel")
     build = [
         sys.executable,
@@ -32,17 +33,25 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: Path) -> None:
+def test_the_wheel_holds_configuration_dashboard_templates_migrations_and_licence(wheel):
     archive = zipfile.ZipFile(wheel)
     names = archive.namelist()
     for wanted in (
         "daq_service/cli/groups/commands.toml",
+        "daq_service/web/answers/vocabulary.toml",
+        "daq_service/web/auth/roles.toml",
+        "daq_service/web/answers/problems.toml",
+        "daq_service/cli/maintenance/acceptance/texts.toml",
+        "daq_service/cli/reproduce/paper_values.csv",
+        "daq_service/cli/reproduce/texts.toml",
         "daq_service/cli/set_up/services/record.service",
         "daq_service/cli/set_up/services/task.xml",
+        "daq_service/cli/set_up/heads/setup.txt",
         "daq_service/config/simulated.toml",
         "daq_service/config/laboratory.toml",
         "daq_service/config/settings.schema.json",
         "daq_service/web/dashboard/index.html",
+        *(f"daq_service/web/templates/{path.name}" for path in TEMPLATES),
         "daq_service/web/dashboard/vendor/uplot/LICENSE",
         "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
         "hardware_drivers/conformance/test_instrument.py",
@@ -58,12 +67,12 @@ def test_the_wheel_holds_configuration_dashboard_migrations_and_licence(wheel: P
 
 @pytest.mark.slow
 @pytest.mark.timeout(1800)
-def test_the_wheel_and_the_constraints_alone_make_a_whole_environment(wheel: Path, tmp_path: Path) -> None:
+def test_the_wheel_and_the_constraints_alone_make_a_whole_environment(wheel, tmp_path):
     subprocess.run([sys.executable, "-m", "venv", str(tmp_path / "fresh")], check=True)
     python = tmp_path / "fresh" / ("Scripts" if os.name == "nt" else "bin") / "python"
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
-    def run(*words: str) -> str:
+    def run(*words):
         done = subprocess.run(
             [str(python), *words], env=environment, cwd=tmp_path, capture_output=True, text=True, check=False
         )
@@ -75,7 +84,7 @@ def test_the_wheel_and_the_constraints_alone_make_a_whole_environment(wheel: Pat
     assert "0.1.0" in run("-m", "daq_service.cli", "--version")
 
 
-def take_machine_code(site: Path) -> None:
+def take_machine_code(site):
     """Copy the compiled kernels of this checkout to identical sources: compiling takes 20 s.
 
     Numba believes a cache whose source has the size and the time of the one it was made from.
@@ -91,7 +100,7 @@ def take_machine_code(site: Path) -> None:
             os.utime(source, ns=(stamp.st_atime_ns, stamp.st_mtime_ns))
 
 
-def test_the_demo_runs_from_the_wheel_in_an_empty_folder(wheel: Path, tmp_path: Path) -> None:
+def test_the_demo_runs_from_the_wheel_in_an_empty_folder(wheel, tmp_path):
     site, empty = tmp_path / "site", tmp_path / "empty"
     empty.mkdir()
     with zipfile.ZipFile(wheel) as archive:

@@ -5,8 +5,9 @@ from support.browser_pages import chromium, find_browser, watched_pages
 from support.served_web import served
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="package")
 def browser():
+    """Run one browser for all files of this folder: a start costs more than most tests."""
     try:
         find_browser()
     except FileNotFoundError as error:

@@ -3,7 +3,6 @@
 import io
 
 import numpy as np
-import pandas as pd
 import pytest
 from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import DESK, PHONE, dashboard, expect, show
@@ -112,18 +111,6 @@ def test_the_copied_python_has_the_records_of_the_opened_set(page):
     for shot in range(SHOTS):
         # The same linear polynomial, evaluated twice: rounding only.
         np.testing.assert_allclose(waves[shot], by_label[f"shot {shot + 1}"], rtol=0, atol=1e-12)
-
-
-def test_a_click_brings_the_file_of_what_is_shown(page, tmp_path):
-    menu = opened(page, "Time of flight")
-    with page.expect_download() as getting:
-        menu.get_by_role("link", name="Position C as CSV").click()
-    assert getting.value.suggested_filename == "features_C.csv"
-    getting.value.save_as(tmp_path / "c.csv")
-    table = pd.read_csv(tmp_path / "c.csv")
-    expected = shown(page, "tof", "tof_pp_us C")
-    np.testing.assert_array_equal(table["due_h"], expected[:, 0])
-    np.testing.assert_array_equal(table["tof_pp_s"] * 1e6, expected[:, 1])
 
 
 @pytest.mark.slow

@@ -189,8 +189,16 @@ def test_a_view_is_an_address_that_can_be_sent(filled, service, open_page):
     assert query(page)["from_h"] == parse_qs(urlsplit(sent).query)["from_h"][0]
 
 
-def test_a_zoom_outlives_twenty_new_sets(filled, service, open_page):
-    page = open_page(f"{service.url}?from_h=4&to_h=12")
+@pytest.fixture(scope="module")
+def shared(service, browser):
+    """Yield one page for tests that only need another view."""
+    with watched_pages(browser) as open_:
+        yield open_(service.url)
+
+
+def test_a_zoom_outlives_twenty_new_sets(filled, shared):
+    page = shared
+    show(page, "?from_h=4&to_h=12")
     wait_for(page)
     count = len(dashboard(page, "charts.tof.x"))
     for index in range(count, count + 20):
@@ -294,7 +302,7 @@ def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
     expect(page.locator("#set")).to_have_attribute("data-waveforms", str(SHOTS))
     expect(page.locator("#paused")).to_be_visible()
     expect(page.locator("#disabled")).to_be_visible()
-    expect(page.locator('#environment [data-quality="lost"]')).to_be_visible()
+    expect(page.locator('#environment [data-quality="no_communication"]')).to_be_visible()
     expect(page.locator('#environment [data-quality="stale"]')).to_be_visible()
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
     expect(page.locator('.tile[data-position="C"]')).to_have_attribute("data-state", "disabled")
@@ -304,7 +312,7 @@ def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
         found = axe.run(page)
         assert found.violations_count == 0, found.generate_report()
     filled.say("resume", filled.due[index].due_utc_ns, held="")
-    filled.reinstate("C")
+    filled.enable("C")
 
 
 def test_the_page_is_accessible_while_it_waits_for_the_first_answer(filled, service, browser):
@@ -319,14 +327,16 @@ def test_the_page_is_accessible_while_it_waits_for_the_first_answer(filled, serv
     context.close()
 
 
-def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(filled, service, open_page):
+def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(filled, shared):
     """Position D was coupled again before set 50: its second baseline collects from there on."""
     asked = {"author": "ben", "reason": "coupled anew", "utc_ns": filled.epoch_ns}
     first = frozen_baseline("D", id=4)
     rows = renew("D", filled.settings, first, first_set=RENEWED, **asked)
     filled.catalogue.commit_set(SetCommit(baselines=[first]))
     filled.catalogue.commit_set(SetCommit(baselines=rows))
-    page = open_page(f"{service.url}?position=D&relative=1")
+    page = shared
+    show(page, "?position=D&relative=1")
+    until(lambda: query(page).get("position") == "D" and dashboard(page, "ready"), "the position is shown")
     count = len(filled.catalogue.rows(SetRow, position="D"))
     wait_for(page, count)
     hours = [filled.due[index].due_h for index in (RENEWED, RENEWED + 47)]
@@ -349,8 +359,9 @@ def test_each_baseline_has_its_band_and_sets_are_relative_to_the_one_in_force(fi
     expect(card).to_contain_text(f"with the set of hour {hours[1]:.1f}")
 
 
-def test_disabled_and_paused_intervals_are_marked(filled, service, open_page):
-    page = open_page(service.url)
+def test_disabled_and_paused_intervals_are_marked(filled, shared):
+    page = shared
+    show(page, "?position=B")
     wait_for(page)
     index = len(dashboard(page, "charts.tof.x"))
     filled.retire("D", index)
@@ -358,4 +369,4 @@ def test_disabled_and_paused_intervals_are_marked(filled, service, open_page):
     hour = filled.due[index].due_h
     mark = {"from_h": hour, "to_h": hour, "label": "disabled", "tone": "alarm"}
     until(lambda: mark in dashboard(page, "charts.tof.ranges"), "the retirement is marked")
-    filled.reinstate("D")
+    filled.enable("D")

@@ -3,11 +3,11 @@
 import os
 import re
 import subprocess
-import sys
 from dataclasses import replace
 
 import pytest
 from support.browser_pages import PHONE, expect
+from support.command_line import SOLIMON
 from support.daqmx_models import running_brain
 from support.daqmx_rig import CHAIN, QUICK_TWIN, board, coil_pulses_s, quick_description
 from support.pseudo_terminal import on_terminal
@@ -39,7 +39,6 @@ DESCRIPTION = replace(
     twin=replace(QUICK_TWIN, noise=NoiseParameters()),
 )
 PULSE_S = 0.01
-SOLIMON = [sys.executable, "-m", "daq_service.cli"]
 ONE_SET = {
     "SOLIMON_SCHEDULE__PHASES": '[{"until_h": 0.0001, "interval_h": 0.0001}]',
     "SOLIMON_SCHEDULE__SHOTS_PER_SET": "2",

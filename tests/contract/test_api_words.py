@@ -6,10 +6,12 @@ from pathlib import Path
 from typing import get_args
 
 from daq_service.catalogue.rows import SetState
+from daq_service.web.answers.problem import PROBLEM_TYPES
 from daq_service.web.routes.stream import TOPICS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
+OF_HTTP = {"bad-request", "method-not-allowed", "http-error"}
 TELLERS = ("recording", "background", "assessment", "commands", "alarms")
 
 
@@ -53,22 +55,14 @@ def constants_of(tree):
     return found
 
 
-def problems_of_the_code():
-    for _, tree in trees("web"):
-        for name, node in calls(tree):
-            if name == "Problem" and len(node.args) == 5:
-                status = node.args[0].value if isinstance(node.args[0], ast.Constant) else None
-                for text in texts(node.args[1], {}):
-                    yield text, status
-
-
-def test_every_type_of_problem_is_listed_with_its_status():
+def test_every_type_of_problem_is_raised_and_listed_with_its_status():
     rows = dict(re.findall(r"^\| `([a-z-]+)` \| (\d{3}|any other) \|", PAGE, re.MULTILINE))
-    found = set(problems_of_the_code())
-    assert len(found) > 20
-    assert {name for name, _ in found} == rows.keys()
-    for name, status in found:
-        assert status is None or rows[name] == str(status), name
+    problems = [node for _, tree in trees("web") for name, node in calls(tree) if name == "Problem"]
+    names = {name for node in problems for name in texts(node.args[0], {})}
+    raised = {name for name in names if re.fullmatch(r"[a-z]+(-[a-z]+)*", name)}
+    assert raised | OF_HTTP == PROBLEM_TYPES.keys() == rows.keys()
+    for name in rows.keys() - {"http-error"}:
+        assert rows[name] == str(PROBLEM_TYPES[name].status), name
 
 
 def kinds_of_the_code():
@@ -77,7 +71,7 @@ def kinds_of_the_code():
     constants = {}
     for _, tree in parsed:
         constants |= constants_of(tree)
-    for path, tree in parsed:
+    for _, tree in parsed:
         for name, node in calls(tree):
             place = None
             if name == "say":
@@ -87,7 +81,7 @@ def kinds_of_the_code():
             elif name in {"tell", "_tell", "add_event", "_add_event", "store_event"} and len(node.args) >= 2:
                 first = set(texts(node.args[0], constants))
                 place = node.args[1] if first & set(TOPICS) else node.args[0]
-            elif name == "_change_state" and path.name == "states.py":
+            elif name == "change_state":
                 place = node.args[3]
             named = [key.value for key in node.keywords if key.arg == "event_kind"]
             if name == "change_baselines":

@@ -136,13 +136,6 @@ def test_silx_plots_the_preview_with_its_units(path):
         assert (features.is_valid, features.signal_name) == (True, "tof_pp_s (s)")
 
 
-def test_h5py_gives_text_as_text(path):
-    with h5py.File(path) as file:
-        data = file[file.attrs["default"]][file["entry"].attrs["default"]]
-        assert data[data.attrs["signal"]].attrs["units"] == "V"
-        assert file["entry/features/tof_pp_s"].dims[0][0].name == "/entry/features/shot_id"
-
-
 def test_xarray_and_pandas_show_the_consolidated_file(consolidated):
     with xarray.open_dataset(consolidated, group="entry/B_waveforms", engine="h5netcdf") as data:
         waveform = data["waveform"]
@@ -166,16 +159,6 @@ def test_xarray_and_pandas_show_the_consolidated_file(consolidated):
     tree.close()
 
 
-def test_silx_plots_the_consolidated_file(consolidated):
-    with silx.io.open(str(consolidated)) as file:
-        for name in ("A_pulse_echo", "B_waveforms", "C_waveforms"):
-            shown = silx.io.nxdata.NXdata(file["entry"][name])
-            assert shown.is_valid, shown.issues
-            assert shown.axes_names == ["shot_id", "time (s)"]
-        assert shown.signal_name == "waveform (counts)"
-        assert silx.io.nxdata.get_default(file).signal.shape == (6, 300)
-
-
 @needs_h5dump
 def test_h5dump_reads_the_records_of_the_consolidated_file(consolidated, tmp_path):
     target = tmp_path / "counts.bin"
@@ -184,16 +167,6 @@ def test_h5dump_reads_the_records_of_the_consolidated_file(consolidated, tmp_pat
     assert done.stderr == ""
     found = np.frombuffer(target.read_bytes(), "<i2").reshape(6, 300)
     np.testing.assert_array_equal(found, np.vstack([COUNTS, OTHER_COUNTS]))
-
-
-@needs_h5dump
-def test_h5dump_shows_unit_and_axes(path):
-    command = ["h5dump", "-A", "-d", "/entry/B_waveforms/waveform", str(path)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
-    assert done.stderr == ""
-    assert '(0): "counts"' in done.stdout
-    assert "DATASPACE  SIMPLE { ( 3, 300 ) / ( 3, 300 ) }" in done.stdout
-    assert 'ATTRIBUTE "DIMENSION_LIST"' in done.stdout
 
 
 @pytest.mark.parametrize("kind", ["path", "consolidated"])

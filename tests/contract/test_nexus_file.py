@@ -120,23 +120,6 @@ def test_text_of_attributes_is_text_to_a_reader(file):
     file.visititems(look)
 
 
-def test_results_are_in_a_file_that_is_made_after_them():
-    values = {
-        "shot_id": [41, 43],
-        "tof_pp_s": [3.3e-4, np.nan],
-        "valid": [1, 0],
-        "flags": ["", "clipped noisy"],
-    }
-    image = build_image(replace(make_set(), results={"features": values}))
-    with h5py.File.in_memory(image) as opened:
-        group = opened["entry/features"]
-        assert (group.attrs["signal"], group.attrs["axes"].tolist()) == ("tof_pp_s", ["shot_id"])
-        assert group["shot_id"][()].tolist() == [41, 43]
-        np.testing.assert_array_equal(group["tof_pp_s"][()], [3.3e-4, np.nan])
-        assert group["tof_pp_s"].attrs["units"] == "s"
-        assert group["flags"].asstr()[()].tolist() == ["", "clipped noisy"]
-
-
 def test_the_polynomial_in_the_file_is_the_truth(file):
     group = file["entry/C_waveforms"]
     detector = file["entry/instrument/C_waveforms"]

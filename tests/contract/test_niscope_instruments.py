@@ -129,12 +129,6 @@ def test_an_unsupported_record_is_refused_at_the_start(brain, changes, message):
         pytest.fail("it opened")
 
 
-@pytest.mark.parametrize("timeout_s", [0.0, -1.0])
-def test_an_invalid_deadline_is_refused(unit, timeout_s):
-    with pytest.raises(ConfigurationError, match="must be positive"):
-        unit.acquire(rig.key(), timeout_s)
-
-
 def test_a_pulser_that_is_off_times_out_and_one_that_is_on_again_is_recorded():
     with (
         rig.met_brain(rig.description(repetition_hz=0.5)),

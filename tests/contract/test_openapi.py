@@ -32,11 +32,11 @@ VERBS = ("get", "post", "put", "patch", "delete")
 ROOT = Path(__file__).resolve().parents[2]
 
 
-def description(folder: Path) -> dict:
+def description(folder):
     return create_app(Settings(), folder).openapi()
 
 
-def description_of_several(folder: Path) -> dict:
+def description_of_several(folder):
     return create_app_of_many([], Settings(), folder).openapi()
 
 
@@ -44,7 +44,7 @@ DESCRIPTIONS = {"a test": description, "several tests": description_of_several}
 SNAPSHOTS = {"a test": SNAPSHOT, "several tests": SNAPSHOT.with_name("openapi_of_several.json")}
 
 
-def as_text(document: dict) -> str:
+def as_text(document):
     return json.dumps(document, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 
@@ -172,12 +172,12 @@ def test_every_operation_has_a_description_a_tag_its_problems_and_an_example(doc
             if not operation.get("description"):
                 lacking.append(f"{place}: what does it do? write a docstring")
             if not operation.get("tags") or not set(operation["tags"]) <= tags.keys():
-                lacking.append(f"{place}: TAGS of words.py describes its tag")
+                lacking.append(f"{place}: vocabulary.toml describes its tag")
             if operation["security"] != [{}] and not {"401", "403", "429"} <= operation["responses"].keys():
                 lacking.append(f"{place}: its refusals are missing")
             needs = [p for p in operation.get("parameters", ()) if p["required"]]
             if any("example" not in p for p in needs):
-                lacking.append(f"{place}: an example of a parameter is missing (EXAMPLES of words.py)")
+                lacking.append(f"{place}: an example of a parameter is missing (examples of vocabulary.toml)")
             answers = (its for status, its in operation["responses"].items() if status < "300")
             content = next(answers).get("content", {})
             readable = [kind for kind in content if re.search("json|event-stream|openmetrics", kind)]
@@ -207,7 +207,7 @@ def test_no_dependency_of_an_operation_stands_in_line_for_a_thread():
 
 
 def test_every_example_is_an_answer_of_its_operation():
-    models = {route.operation_id: route.response_model for route in api_routes()}
+    models = {route.name: route.response_model for route in api_routes()}
     held = [name for name, model in models.items() if model is not None and name in examples()]
     for name in held:
         models[name].model_validate(examples()[name]["answer"])
@@ -222,7 +222,7 @@ def test_every_part_of_the_evidence_is_described():
             named = isinstance(node, ast.keyword) and node.arg == "evidence"
             kept = isinstance(node, ast.Assign) and getattr(node.targets[0], "id", "") == "evidence"
             if (named or kept) and isinstance(node.value, ast.Dict):
-                keys |= {key.value for key in node.value.keys}
+                keys |= {key.value for key in node.value.keys if key is not None}  # None: **other
     assert {"rule", "consecutive_poor_sets"} <= keys
     assert keys - AlarmEvidence.model_fields.keys() == set()
 

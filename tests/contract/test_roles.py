@@ -15,7 +15,6 @@ from daq_service.web.auth.roles import OPERATIONS, ORDERS, ROLES
 from daq_service.web.auth.tokens import create_token, revoke_token
 from daq_service.web.multi_test.app import RESOURCES as OF_SEVERAL
 from daq_service.web.routes import report
-from daq_service.web.routes.admission import operation_of
 
 DOCUMENT = json.loads(Path(__file__).with_name("openapi.json").read_text(encoding="utf-8"))
 CALLS = {
@@ -76,9 +75,9 @@ def filled_in(path):
 
 
 def test_every_operation_and_every_kind_of_order_has_a_role():
-    """A new one is one line of `daq_service/web/auth/roles.py`."""
+    """A new one is one line of `daq_service/web/auth/roles.toml`."""
     resources = (*RESOURCES, *OF_SEVERAL)
-    routes = {operation_of(route) for resource in resources for route in resource.router.routes}
+    routes = {route.name for resource in resources for route in resource.router.routes}
     assert (CALLS.keys() | routes) - OPERATIONS.keys() == set()
     assert OPERATIONS.keys() - (CALLS.keys() | routes) == set()
     assert KINDS.keys() == ORDERS.keys()

@@ -7,9 +7,8 @@ time is its decay to 1/e, so that what is left of the longest ones is still unde
 """
 
 import itertools
-import json
 import math
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import pytest
 from support.daqmx_models import running_brain
@@ -28,7 +27,6 @@ from support.daqmx_rig import (
 from support.waiting import happened
 
 from analysis.waves.features import extract_features
-from daq_service.cli.doctor.command import run_doctor
 from daq_service.cli.doctor.spike import proposed_ringing_s, survey_coil
 from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.measurement import ShotKey
@@ -159,18 +157,3 @@ def test_without_a_holdoff_the_shots_are_lost_and_the_survey_says_why(doubles, p
 
 
 # The doctor -----------------------------------------------------------------------------------------
-
-
-def doctor(capsys, folder, doubles, **changes):
-    """Return exit code, checks by name, and the same report as text; changes apply to [rig.daqmx]."""
-    boards = asdict(parameters_of(DESCRIPTION, doubles, drop_height_m=DROP_M, **changes))
-    values = {
-        "clock": {"kind": "wall"},
-        "positions": {"C": {"method": "solitary_wave"}},
-        "rig": {"kind": "daqmx", "daqmx": boards},
-    }
-    config = folder / "laboratory.json"
-    config.write_text(json.dumps(values), encoding="utf-8")
-    code = run_doctor(config=config, data_dir=folder / "data", strike="C", as_json=True)
-    text = capsys.readouterr().out
-    return code, {check["name"]: check for check in json.loads(text)["checks"]}, text

@@ -2,7 +2,6 @@
 
 import threading
 from collections import Counter
-from pathlib import Path
 
 import pytest
 from support.small_experiment import run, small_settings
@@ -16,7 +15,7 @@ from daq_service.commands.send import send_command
 from daq_service.errors import UsageError
 
 
-def states(folder: Path) -> Counter[str]:
+def states(folder):
     try:
         with open_catalogue(folder) as catalogue:
             return Counter(row.state for row in catalogue.rows(SetRow, position="D"))
@@ -24,7 +23,7 @@ def states(folder: Path) -> Counter[str]:
         return Counter()
 
 
-def order(folder: Path, kind: str, note: str = "", position: str | None = None) -> int:
+def order(folder, kind, note="", position=None):
     return send_command(
         kind,
         config=None,
@@ -36,9 +35,7 @@ def order(folder: Path, kind: str, note: str = "", position: str | None = None) 
     )
 
 
-def test_a_running_test_is_paused_resumed_and_a_transducer_disabled(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_running_test_is_paused_resumed_and_a_transducer_disabled(tmp_path, capsys):
     folder, stop = tmp_path / "data", threading.Event()
     # Eight sets per second: slow enough for orders to be heard between them.
     paced = small_settings(

@@ -6,8 +6,6 @@ import contextlib
 import io
 import re
 import shlex
-from pathlib import Path
-from typing import Any
 
 import h5py
 import pytest
@@ -28,7 +26,7 @@ SETTINGS = notebooks.example_settings()
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     """Return a test past its baseline, with limits."""
     folder = tmp_path_factory.mktemp("laboratory") / "my-test-data"
     assert run(SETTINGS, folder)
@@ -36,14 +34,14 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def exported(folder: Path) -> Path:
+def exported(folder):
     path = folder.parent / "test.h5"
     made = solimon_here("export", "--data-dir", str(folder), "--hdf5", str(path), env={})
     assert made.returncode == 0, made.stderr
     return path
 
 
-def test_the_cells_of_jupyter_read_a_test_and_draw_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_cells_of_jupyter_read_a_test_and_draw_it(folder, monkeypatch):
     import matplotlib as mpl
     import matplotlib.pyplot as plt
 
@@ -71,15 +69,13 @@ def test_the_cells_of_jupyter_read_a_test_and_draw_it(folder: Path, monkeypatch:
     assert known["trend"]["tof_pp_s"].notna().sum() == SETS  # type: ignore[index]
 
 
-def test_the_example_notebook_gives_its_committed_outputs(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_example_notebook_gives_its_committed_outputs(folder, monkeypatch):
     """Texts to the letter; pictures differ with the version of matplotlib, so those are only there."""
     monkeypatch.chdir(folder.parent)
     committed = notebooks.read()
     done = notebooks.executed(committed, {})
 
-    def of_cells(notebook: dict[str, Any]) -> list[list[dict[str, Any]]]:
+    def of_cells(notebook):
         cells = [cell["outputs"] for cell in notebook["cells"] if cell["cell_type"] == "code"]
         for output in (output for outputs in cells for output in outputs):
             if "image/png" in output.get("data", {}):
@@ -95,7 +91,7 @@ def test_the_example_notebook_gives_its_committed_outputs(
     assert "error" not in kinds
 
 
-def test_the_names_and_shapes_of_matlab_are_those_of_the_files(folder: Path, exported: Path) -> None:
+def test_the_names_and_shapes_of_matlab_are_those_of_the_files(folder, exported):
     text = "\n".join(blocks(HOW_TO / "matlab.md", "matlab"))
     (name,) = re.findall(r"sets/(set_\d+_\w+\.h5)", text)
     assert name == set_files(folder)[12].name
@@ -122,7 +118,7 @@ def test_the_names_and_shapes_of_matlab_are_those_of_the_files(folder: Path, exp
         assert {test[f"entry/B_sets/{name}"].shape for name in ("due_h", "tof_pp_s")} == {(SETS,)}
 
 
-def kinds_of_alarms() -> set[str]:
+def kinds_of_alarms():
     """Return every kind of alarm of the code: of the supply by its table, others by `Condition`."""
     found = set(PRIORITIES)
     for path in (ROOT / "daq_service").rglob("*.py"):
@@ -155,7 +151,7 @@ def kinds_of_alarms() -> set[str]:
     return found
 
 
-def test_every_kind_of_alarm_has_its_row() -> None:
+def test_every_kind_of_alarm_has_its_row():
     text = (HOW_TO / "my-alarm-what-now.md").read_text(encoding="utf-8")
     rows = re.findall(r"^\| `(\w+)` \|(.*)\|$", text, flags=re.MULTILINE)
     assert sorted(kind for kind, _ in rows) == sorted(kinds_of_alarms())
@@ -167,7 +163,7 @@ def test_every_kind_of_alarm_has_its_row() -> None:
         assert call, kind
 
 
-def test_the_limits_of_the_baseline_page_are_those_of_the_code() -> None:
+def test_the_limits_of_the_baseline_page_are_those_of_the_code():
     page = HOW_TO / "choose-a-baseline.md"
     (code,), (printed,) = blocks(page, "python"), blocks(page, "text")
     captured = io.StringIO()
@@ -182,7 +178,7 @@ def test_the_limits_of_the_baseline_page_are_those_of_the_code() -> None:
         assert re.search(rf"\({n}, \d+, {float(percent) / 100:g}\b", rates), (percent, n)
 
 
-def test_a_recorder_turns_a_backup_into_a_separate_test(folder: Path, tmp_path: Path) -> None:
+def test_a_recorder_turns_a_backup_into_a_separate_test(folder, tmp_path):
     copy = tmp_path / "copy"
     assert solimon_here("backup", str(copy), "--data-dir", str(folder), env={}).returncode == 0
     assert run(SETTINGS, copy), "it finds nothing to do, and owns the folder from now on"
@@ -207,9 +203,7 @@ ORDERS = ("approve-baseline", "renew-baseline")
 
 
 @pytest.mark.parametrize("page", COMMANDS)
-def test_the_commands_of_a_page_run_one_after_the_other(
-    page: str, folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_commands_of_a_page_run_one_after_the_other(page, folder, tmp_path, monkeypatch):
     lines = [
         shlex.split(line)
         for block in blocks(ROOT / "docs" / page, "sh")

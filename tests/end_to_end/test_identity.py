@@ -3,7 +3,6 @@
 import json
 import uuid
 from dataclasses import replace
-from pathlib import Path
 
 import orjson
 from support.small_experiment import SMALL, run, small_settings
@@ -16,12 +15,12 @@ from daq_service.cli.maintenance.backup import back_up
 from daq_service.processes.data_folder import BACKUP_FILE
 
 
-def until(end_h: float):
+def until(end_h):
     settings = small_settings(schedule={**SMALL["schedule"], "end_h": end_h})
     return settings.model_copy(update={"site": "Hall 3"})
 
 
-def uuids(folder: Path) -> list[str]:
+def uuids(folder):
     """Return the UUIDs of catalogue and experiment file, and of the newest set."""
     with open_catalogue(folder) as catalogue:
         row = catalogue.experiment_row()
@@ -32,7 +31,7 @@ def uuids(folder: Path) -> list[str]:
     return [row.uuid, file["uuid"], newest["uuid"]]
 
 
-def test_a_backup_has_the_uuid_of_its_test_until_it_continues(tmp_path: Path) -> None:
+def test_a_backup_has_the_uuid_of_its_test_until_it_continues(tmp_path):
     folder, copy = tmp_path / "data", tmp_path / "copy"
     assert run(until(0.5), folder)
     (created,) = set(uuids(folder))
@@ -51,7 +50,7 @@ def test_a_backup_has_the_uuid_of_its_test_until_it_continues(tmp_path: Path) ->
     assert set(uuids(folder)) == {created}
 
 
-def test_a_backup_of_an_earlier_version_is_recognised_without_a_uuid(tmp_path: Path) -> None:
+def test_a_backup_of_an_earlier_version_is_recognised_without_a_uuid(tmp_path):
     folder, copy = tmp_path / "data", tmp_path / "copy"
     assert run(until(0.5), folder)
     with open_catalogue(folder) as catalogue:

@@ -1,11 +1,9 @@
 """Whole sets through the vendor's unmodified packages, with the twin below them."""
 
 import threading
-from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -20,7 +18,7 @@ from daq_service.cli.run import child_plans
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.processes.supervisor import Supervisor
 from daq_service.recording.session import record
-from daq_service.rig.doubles import DemoRig, running_rig
+from daq_service.rig.doubles import running_rig
 from daq_service.rig.open_rig import CONTROL_VARIABLE, open_rig
 from simulator.doubles.transports.control import DoublesControl
 from simulator.doubles.transports.grpc_front import why_unavailable as why_no_grpc
@@ -42,7 +40,7 @@ SMALL: dict[str, Any] = {
 }
 
 
-def configuration(running: DemoRig, folder: Path) -> Path:
+def configuration(running, folder):
     prepare_data_folder(folder)
     path = folder / "configuration.json"
     path.write_text(running.settings.model_dump_json(), encoding="utf-8")
@@ -50,7 +48,7 @@ def configuration(running: DemoRig, folder: Path) -> Path:
 
 
 @contextmanager
-def rig_here(rig: str, changed: Callable[[DemoRig], DemoRig] = lambda rig: rig) -> Iterator[DemoRig]:
+def rig_here(rig, changed=lambda rig: rig):
     """Run a rig whose libraries this process loads; its double is forked."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("simulator.doubles.transports.control.running_doubles", running_brain)
@@ -64,21 +62,21 @@ def rig_here(rig: str, changed: Callable[[DemoRig], DemoRig] = lambda rig: rig) 
             yield changed(running)
 
 
-def follow(running: DemoRig, folder: Path, notify: Callable[..., None] = lambda event, **_: None) -> bool:
+def follow(running, folder, notify=lambda event, **_: None):
     """Run the schedule in this process."""
     prepare_data_folder(folder)
     with own_data_folder(folder):
         return record(running.settings, folder, open_rig, stop=threading.Event(), report=notify)
 
 
-def shot_features(folder: Path) -> dict[tuple[str, int, int], Mapping[str, Any]]:
+def shot_features(folder):
     with open_catalogue(folder) as catalogue:
         rows = catalogue.rows(FeatureRow, scope="shot")
     return {(row.position, row.set_index, row.shot_index): row for row in rows}
 
 
 @pytest.fixture(scope="module")
-def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def simulated(tmp_path_factory):
     folder = tmp_path_factory.mktemp("simulated")
     with rig_here("simulated") as running:
         assert follow(running, folder)
@@ -86,9 +84,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("rig", NI_RIGS)
-def test_a_set_through_nidaqmx_equals_the_twin_and_stores_its_settings(
-    rig: str, simulated: Path, tmp_path: Path
-) -> None:
+def test_a_set_through_nidaqmx_equals_the_twin_and_stores_its_settings(rig, simulated, tmp_path):
     with rig_here(rig) as running:
         assert follow(running, tmp_path)
         with DoublesControl(running.environment[CONTROL_VARIABLE]) as doubles:
@@ -125,7 +121,7 @@ SECOND_H = 1.0 / 3600.0
 PULSE_NS = 20_000_000
 
 
-def one_transducer(running: DemoRig, sets: int, **clock: Any) -> DemoRig:
+def one_transducer(running, sets, **clock):
     """Return one transducer, a set of one strike every two seconds, and short timeouts."""
     values = running.settings.model_dump(mode="json")
     values["clock"] |= clock
@@ -143,7 +139,7 @@ def one_transducer(running: DemoRig, sets: int, **clock: Any) -> DemoRig:
     return replace(running, settings=type(running.settings)(**values))
 
 
-def set_states(folder: Path) -> list[str]:
+def set_states(folder):
     with open_catalogue(folder) as catalogue:
         return [row.state for row in catalogue.rows(SetRow, position="D")]
 
@@ -152,12 +148,12 @@ def set_states(folder: Path) -> list[str]:
 @pytest.mark.parametrize(
     "function", ["DAQmxReadBinaryI16", pytest.param("DAQmxWaitUntilTaskDone", marks=pytest.mark.slow)]
 )
-def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function: str, tmp_path: Path) -> None:
+def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function, tmp_path):
     """Nothing can interrupt a hung call of the library but the end of its process."""
     first_set, went_on, stop = threading.Event(), threading.Event(), threading.Event()
     codes: list[int] = []
 
-    def on_message(child: str, message: Mapping[str, Any]) -> None:
+    def on_message(child, message):
         if message["event"] == "progress":
             first_set.set()
             states = set_states(tmp_path)

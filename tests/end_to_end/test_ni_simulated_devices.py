@@ -5,9 +5,7 @@ they wait for, every input is a full-scale sine wave with three percent of noise
 """
 
 import json
-from collections.abc import Iterator
 from dataclasses import asdict, replace
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -23,7 +21,6 @@ from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, Fea
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.errors import RigError
 from daq_service.settings.file import load_settings
-from simulator.doubles.transports.control import RunningDoubles
 from simulator.doubles.transports.library import why_unavailable
 
 pytestmark = pytest.mark.skipif(bool(why_unavailable()), reason=why_unavailable() or "it can be built")
@@ -34,19 +31,19 @@ BASELINE_SETS, SETS, SHOTS = 7, 9, 1
 
 
 @pytest.fixture(scope="module")
-def running() -> Iterator[RunningDoubles]:
+def running():
     with running_brain(DESCRIPTION) as doubles:
         yield doubles
 
 
 @pytest.fixture
-def doubles(running: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> RunningDoubles:
+def doubles(running, monkeypatch):
     meet(running, monkeypatch)
     running.control.clear_record()
     return running
 
 
-def configuration(folder: Path, doubles: RunningDoubles, **changes: Any) -> Path:
+def configuration(folder, doubles, **changes):
     """Write a configuration file of more sets than a baseline needs."""
     boards = asdict(replace(parameters_of(DESCRIPTION, doubles), **changes))
     values: dict[str, Any] = {
@@ -65,16 +62,14 @@ def configuration(folder: Path, doubles: RunningDoubles, **changes: Any) -> Path
     return file
 
 
-def looked_at(config: Path, folder: Path, capsys: pytest.CaptureFixture[str]) -> tuple[int, dict[str, Any]]:
+def looked_at(config, folder, capsys):
     """Return the exit code of doctor, and its checks of the rig by name."""
     code = run_doctor(config=config, data_dir=folder, strike=None, as_json=True)
     checks = json.loads(capsys.readouterr().out)["checks"]
     return code, {check["name"]: check for check in checks if check["area"] == "rig"}
 
 
-def test_doctor_passes_a_rehearsal_and_calls_nothing_real_or_calibrated(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_doctor_passes_a_rehearsal_and_calls_nothing_real_or_calibrated(doubles, tmp_path, capsys):
     config = configuration(tmp_path, doubles, dry_run=True)
     code, checks = looked_at(config, tmp_path / "data", capsys)
     assert {name for name, check in checks.items() if check["state"] == "fail"} == set()
@@ -86,9 +81,7 @@ def test_doctor_passes_a_rehearsal_and_calls_nothing_real_or_calibrated(
         assert "made up" in unknown[f"transducer {position}: noise"]
 
 
-def test_doctor_fails_for_a_configuration_with_strikes(
-    doubles: RunningDoubles, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_doctor_fails_for_a_configuration_with_strikes(doubles, tmp_path, capsys):
     code, checks = looked_at(configuration(tmp_path, doubles), tmp_path / "data", capsys)
     assert code == 3
     refused = checks["board 00000000: real"]
@@ -96,9 +89,7 @@ def test_doctor_fails_for_a_configuration_with_strikes(
     assert "dry_run = true" in refused["remedy"]
 
 
-def test_a_rehearsal_produces_no_good_sets_no_assessments_and_no_baseline(
-    doubles: RunningDoubles, tmp_path: Path
-) -> None:
+def test_a_rehearsal_produces_no_good_sets_no_assessments_and_no_baseline(doubles, tmp_path):
     settings = load_settings(configuration(tmp_path, doubles, dry_run=True))
     folder = tmp_path / "rehearsal"
     assert run(settings, folder, wall_clock=SteppedClock().start)
@@ -123,9 +114,7 @@ def test_a_rehearsal_produces_no_good_sets_no_assessments_and_no_baseline(
     assert not any(event["level"] for event in doubles.control.record()["lines"])
 
 
-def test_a_test_that_would_strike_is_refused_before_its_first_record(
-    doubles: RunningDoubles, tmp_path: Path
-) -> None:
+def test_a_test_that_would_strike_is_refused_before_its_first_record(doubles, tmp_path):
     settings = load_settings(configuration(tmp_path, doubles))
     with pytest.raises(RigError, match=r"simulated by NI's driver.*dry_run = true"):
         run(settings, tmp_path / "data", wall_clock=SteppedClock().start)
@@ -133,9 +122,7 @@ def test_a_test_that_would_strike_is_refused_before_its_first_record(
         assert catalogue.rows(SetRow) == []
 
 
-def test_setup_writes_a_configuration_without_a_strike_and_refuses_to_strike(
-    doubles: RunningDoubles, tmp_path: Path
-) -> None:
+def test_setup_writes_a_configuration_without_a_strike_and_refuses_to_strike(doubles, tmp_path):
     wired = ("--transducer", "B=0/ai0/ctr0", "--no-web", "--no-browser")
     file = tmp_path / "rehearsal.toml"
     done = solimon_here("setup", str(file), *wired, env={})

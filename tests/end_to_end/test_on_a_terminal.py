@@ -5,12 +5,11 @@ import os
 import re
 import shutil
 import signal
-import sys
 import urllib.request
-from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pytest
+from support.command_line import SOLIMON
 from support.waiting import WAIT_S, until
 
 from daq_service.archive import FolderSetReader
@@ -20,10 +19,9 @@ from simulator.doubles.serial.link import pseudo_terminals_missing
 if missing := pseudo_terminals_missing():
     pytest.skip(missing, allow_module_level=True)
 
-from support.pseudo_terminal import PseudoTerminal, on_terminal
+from support.pseudo_terminal import on_terminal
 
 PICTURES = Path(__file__).with_name("terminal")
-SOLIMON = [sys.executable, "-m", "daq_service.cli"]
 # A coarse mesh and half of the strikes: what is shown counts.
 QUICK = {
     "SOLIMON_PLATE__ELEMENTS_PER_EDGE": "16",
@@ -46,14 +44,14 @@ MASKS = (
 )
 
 
-def masked(text: str, folder: Path) -> str:
+def masked(text, folder):
     text = text.replace(str(folder), "<folder>")
     for pattern, word in MASKS:
         text = re.sub(pattern, word, text)
     return text
 
 
-def check(name: str, terminal: PseudoTerminal, folder: Path, *, at_any_time: str = "\0") -> None:
+def check(name, terminal, folder, *, at_any_time="\0"):
     """Compare the screen with the stored output; `SOLIMON_TEST_PICTURES=keep` stores the new one.
 
     A line that begins with ``at_any_time`` comes from another process than the others: it is put first.
@@ -66,21 +64,21 @@ def check(name: str, terminal: PseudoTerminal, folder: Path, *, at_any_time: str
     assert seen == picture.read_text(encoding="utf-8")
 
 
-def arguments(*words: str, folder: Path) -> list[str]:
+def arguments(*words, folder):
     return [*SOLIMON, *words, "--data-dir", str(folder)]
 
 
-def quick(end_h: float) -> Mapping[str, str]:
+def quick(end_h):
     return {**QUICK, "SOLIMON_SCHEDULE__END_H": str(end_h)}
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def folder(tmp_path_factory):
     return tmp_path_factory.mktemp("terminal") / "data"
 
 
 @pytest.fixture(scope="module")
-def recorded(folder: Path) -> Iterator[PseudoTerminal]:
+def recorded(folder):
     """Record one set by `record`."""
     with on_terminal(arguments("record", folder=folder), quick(0.5)) as terminal:
         assert terminal.end() == 0
@@ -88,7 +86,7 @@ def recorded(folder: Path) -> Iterator[PseudoTerminal]:
 
 
 @pytest.fixture(scope="module")
-def ran(folder: Path, recorded: PseudoTerminal) -> Iterator[PseudoTerminal]:
+def ran(folder, recorded):
     """Run another set by `run` in the same folder, then kill its recorder."""
     del recorded
     config = folder.parent / "test.toml"
@@ -106,19 +104,19 @@ def ran(folder: Path, recorded: PseudoTerminal) -> Iterator[PseudoTerminal]:
         yield terminal
 
 
-def test_record_prints_its_progress_and_keeps_the_last_line(recorded: PseudoTerminal, folder: Path) -> None:
+def test_record_prints_its_progress_and_keeps_the_last_line(recorded, folder):
     check("record", recorded, folder)
     # Which of its first steps are seen is a matter of time.
     assert re.search("opening the rig|building the twin|waiting for set 0", recorded.written)
     assert "\x1b[2K" in recorded.written, "one line, written again"
 
 
-def test_run_prints_the_address_the_progress_a_restart_and_the_end(ran: PseudoTerminal, folder: Path) -> None:
+def test_run_prints_the_address_the_progress_a_restart_and_the_end(ran, folder):
     check("run", ran, folder, at_any_time="dashboard")
     assert len(FolderSetReader(folder).sets()) == 2, "the folder of the configuration, beside its file"
 
 
-def test_serve_prints_its_address_and_ends_by_ctrl_c(ran: PseudoTerminal, folder: Path) -> None:
+def test_serve_prints_its_address_and_ends_by_ctrl_c(ran, folder):
     del ran
     with on_terminal(arguments("serve", "--port", "0", folder=folder), QUICK) as terminal:
         terminal.until("http://")
@@ -126,9 +124,7 @@ def test_serve_prints_its_address_and_ends_by_ctrl_c(ran: PseudoTerminal, folder
     check("serve", terminal, folder)
 
 
-def test_a_watched_status_shows_changes_and_keeps_the_last_output(
-    ran: PseudoTerminal, folder: Path, tmp_path: Path
-) -> None:
+def test_a_watched_status_shows_changes_and_keeps_the_last_output(ran, folder, tmp_path):
     del ran
     watched = tmp_path / "watched"
     watched.mkdir()
@@ -145,7 +141,7 @@ def test_a_watched_status_shows_changes_and_keeps_the_last_output(
     check("watch", terminal, watched)
 
 
-def test_demo_prints_a_greeting_its_folder_the_progress_and_a_summary(tmp_path: Path) -> None:
+def test_demo_prints_a_greeting_its_folder_the_progress_and_a_summary(tmp_path):
     folder = tmp_path / "data"
     command = arguments("demo", "--exit", "--no-web", "--hours", "0.5", folder=folder)
     with on_terminal(command, QUICK) as terminal:
@@ -155,7 +151,7 @@ def test_demo_prints_a_greeting_its_folder_the_progress_and_a_summary(tmp_path: 
 
 
 @pytest.mark.slow
-def test_the_first_compilation_is_reported_while_it_runs(tmp_path: Path) -> None:
+def test_the_first_compilation_is_reported_while_it_runs(tmp_path):
     command = arguments("record", folder=tmp_path / "data")
     with on_terminal(command, {**quick(0.5), "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
         assert terminal.end() == 0
@@ -168,7 +164,7 @@ def test_the_first_compilation_is_reported_while_it_runs(tmp_path: Path) -> None
 
 
 @pytest.mark.slow
-def test_the_compilation_in_a_twin_process_is_reported(tmp_path: Path) -> None:
+def test_the_compilation_in_a_twin_process_is_reported(tmp_path):
     command = arguments("demo", "--exit", "--no-web", folder=tmp_path / "data")
     with on_terminal(command, {**QUICK, "NUMBA_CACHE_DIR": str(tmp_path / "code")}) as terminal:
         # Some seconds of it are the recorder's own; the long part comes with the first strikes.
@@ -180,7 +176,7 @@ def test_the_compilation_in_a_twin_process_is_reported(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("option", ["", "--no-browser"])
-def test_demo_opens_its_page_on_a_computer_with_a_screen(tmp_path: Path, option: str) -> None:
+def test_demo_opens_its_page_on_a_computer_with_a_screen(tmp_path, option):
     opened, browser = tmp_path / "opened", tmp_path / "browser"
     browser.write_text(f'#!/bin/sh\necho "$1" >> "{opened}"\n', encoding="utf-8")
     browser.chmod(0o755)

@@ -3,7 +3,6 @@
 import re
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from support.archived_sets import assert_same_records
@@ -14,7 +13,6 @@ from support.stored_files import read_set, set_files
 
 from daq_service.clock import parse_utc
 from daq_service.settings.file import load_settings
-from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError
 from hardware_drivers.measurement import PulseEchoRecord
 
@@ -22,7 +20,7 @@ END_H, SHORT_H, LAST = 8.0, 1.5, 15
 """After the baseline of 7.5 h there are assessments; what concerns single shots is seen in less."""
 
 
-def small_settings(**tables: Any) -> Settings:
+def small_settings(**tables):
     """Return settings of a probe and two transducers, without confirmation sets by default."""
     alarms = {"hole_shots": 2, "confirmation_sets_a_day": 0} | tables.pop("alarms", {})
     settings = half_a_day(baseline={"hours": 7.5}, alarms=alarms, **tables)
@@ -30,7 +28,7 @@ def small_settings(**tables: Any) -> Settings:
     return settings.model_copy(update={"positions": kept})
 
 
-def played_back(source: Path, end_h: float = END_H, **tables: Any):
+def played_back(source, end_h=END_H, **tables):
     """Return settings of the same test on a recording."""
     playback = {"source": str(source), **tables.pop("playback", {})}
     return small_settings(schedule={"end_h": end_h}, rig={"kind": "playback", "playback": playback}, **tables)
@@ -51,7 +49,7 @@ def recording(tmp_path_factory):
     return folder
 
 
-def assert_same_sets(played: Path, recorded: Path) -> None:
+def assert_same_sets(played, recorded):
     assert list(set_files(played)) == list(set_files(recorded))
     for one, other in zip(set_files(played).values(), set_files(recorded).values(), strict=True):
         assert_same_records(read_set(one), read_set(other))
@@ -75,7 +73,7 @@ def test_an_archive_played_back_in_two_parts_is_the_same_test_to_the_last_bit(re
     assert found.provenance["rig_identity"]["recording"] == str(recording)
 
 
-def labview_copy(recording: Path, folder: Path, sets: int) -> Path:
+def labview_copy(recording, folder, sets):
     """Write the first sets of the recording as a LabVIEW program does: a file per set."""
     for set_index, path in list(set_files(recording).items())[:sets]:
         channels = []
@@ -143,7 +141,7 @@ def test_the_python_of_the_page_prints_hour_0(recording, capsys):
 def test_a_recording_without_quality_checks_is_not_restruck(tmp_path):
     """A re-strike that no recording holds would count as missed and move every strike after it."""
 
-    def missing(key: Any, acquired: Any) -> Any:
+    def missing(key, acquired):
         if (key.position, key.set_index, key.shot_index) == ("B", 2, 1):
             raise AcquisitionTimeoutError("no trigger")
         return acquired

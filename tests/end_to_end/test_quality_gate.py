@@ -1,26 +1,24 @@
 """Poor strikes are repeated, silent transducers retire, a rig that is gone costs sets and not the test."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from support.small_experiment import RigOpener, disturbed_rig, rows_of, small_settings
+from support.small_experiment import disturbed_rig, rows_of, small_settings
 from support.small_experiment import run as run_experiment
 
 from daq_service.catalogue import RecorderCatalogue, open_catalogue
 from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.clock import parse_utc
-from daq_service.settings.tree import Settings
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     ConnectionLostError,
 )
-from hardware_drivers.instruments import Acquired, Clock, Rig
+from hardware_drivers.instruments import Acquired
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
@@ -34,7 +32,7 @@ run = partial(run_experiment, listen_every_s=0.0)
 """Simulated hours pass in milliseconds: orders are heard at every look."""
 
 
-def clipped(acquired: Acquired) -> Acquired:
+def clipped(acquired):
     """Return the same strike at a range that is too small for its incident wave."""
     waveform = acquired.waveform
     low, high = waveform.calibration.full_scale_counts
@@ -42,14 +40,14 @@ def clipped(acquired: Acquired) -> Acquired:
     return replace(acquired, waveform=replace(waveform, counts=counts.astype(waveform.counts.dtype)))
 
 
-def untouched(key: ShotKey, acquired: Acquired) -> Acquired:
+def untouched(key, acquired):
     return acquired
 
 
-def silent(position: str, from_set: int = 0, until_set: int = 10_000) -> Disturb:
+def silent(position, from_set=0, until_set=10_000):
     """Disturb a position so that nothing triggers."""
 
-    def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
+    def disturb(key, acquired):
         if key.position == position and from_set <= key.set_index < until_set:
             raise AcquisitionTimeoutError(NO_TRIGGER)
         return acquired
@@ -57,7 +55,7 @@ def silent(position: str, from_set: int = 0, until_set: int = 10_000) -> Disturb
     return disturb
 
 
-def missed(acquired: Acquired) -> Acquired:
+def missed(acquired):
     raise AcquisitionTimeoutError(NO_TRIGGER)
 
 
@@ -67,19 +65,19 @@ class OrderingClock:
     Late ones come when the hour is reached: the recorder hears them at its next look.
     """
 
-    def __init__(self, clock: Clock, folder: Path, orders: Sequence[Order], late: bool) -> None:
+    def __init__(self, clock, folder, orders, late):
         self._clock = clock
         self._folder = folder
         self._orders = list(orders)
         self._late = late
 
-    def utc_ns(self) -> int:
+    def utc_ns(self):
         return self._clock.utc_ns()
 
-    def mono_ns(self) -> int:
+    def mono_ns(self):
         return self._clock.mono_ns()
 
-    def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
+    def wait_until(self, utc_ns, idle):
         reached = self._late and self._clock.wait_until(utc_ns, idle)
         while self._orders and utc_ns >= EPOCH_NS + round(self._orders[0][0] * NS_PER_H):
             _, kind, arguments = self._orders.pop(0)
@@ -88,35 +86,33 @@ class OrderingClock:
         return reached if self._late else self._clock.wait_until(utc_ns, idle)
 
 
-def ordering_rig(
-    folder: Path, orders: Sequence[Order], disturb: Disturb = untouched, *, late: bool = False
-) -> RigOpener:
+def ordering_rig(folder, orders, disturb=untouched, *, late=False):
     """Return a disturbed twin whose operator gives the commands ``orders``: hour, kind, arguments."""
 
     @contextmanager
-    def opener(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+    def opener(settings, clock, epoch_utc_ns):
         with disturbed_rig(disturb)(settings, clock, epoch_utc_ns) as rig:
             yield replace(rig, clock=OrderingClock(rig.clock, folder, orders, late))
 
     return opener
 
 
-def sets_of(folder: Path, position: str) -> list[SetRow]:
+def sets_of(folder, position):
     with open_catalogue(folder) as catalogue:
         return sorted(catalogue.rows(SetRow, position=position), key=lambda row: row.set_index)
 
 
-def alarms_of(folder: Path) -> dict[tuple[str | None, str], AlarmRow]:
+def alarms_of(folder):
     with open_catalogue(folder) as catalogue:
         return {(row.position, row.kind): row for row in catalogue.rows(AlarmRow)}
 
 
-def only(names: str, settings: Settings) -> Settings:
+def only(names, settings):
     """Return settings of these positions only: each costs test time."""
     return settings.model_copy(update={"positions": {name: settings.positions[name] for name in names}})
 
 
-def two_hours(**tables: Any) -> Settings:
+def two_hours(**tables):
     return small_settings(schedule={"end_h": 2.0}, **tables)
 
 
@@ -127,12 +123,10 @@ class _KilledError(BaseException):
     """Substitute for SIGKILL, which no code may catch to clean up."""
 
 
-def test_rows_made_from_an_orphaned_file_are_those_of_the_recorder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_made_from_an_orphaned_file_are_those_of_the_recorder(tmp_path, monkeypatch):
     """Missed, superseded and lost shots, and the trouble that ended the set: all are in the file."""
 
-    def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
+    def disturb(key, acquired):
         if key.set_index == 1 and key.attempt == 0 and (key.position, key.shot_index) == ("B", 0):
             raise AcquisitionTimeoutError(NO_TRIGGER)
         if key.set_index == 1 and key.attempt == 0 and (key.position, key.shot_index) == ("B", 1):
@@ -141,7 +135,7 @@ def test_rows_made_from_an_orphaned_file_are_those_of_the_recorder(
             raise ConnectionLostError("the board does not answer")
         return acquired
 
-    def killing(self: RecorderCatalogue, commit: Any) -> Any:
+    def killing(self, commit):
         if commit.sets and commit.sets[0].set_index == 1:
             raise _KilledError
         return commit_set(self, commit)
@@ -169,10 +163,10 @@ SILENT = {"no_data_sets": 2, "retire_after_sets": 4}
 # A rig that is gone or busy --------------------------------------------------------------------
 
 
-def lost_during(sets: range, position: str, times: int, error: type[Exception]) -> tuple[Disturb, list]:
+def lost_during(sets, position, times, error):
     """Let the first ``times`` strikes of a position in each set meet a lost connection."""
 
-    def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
+    def disturb(key, acquired):
         tried.append(key)
         if key.set_index in sets and key.position == position and key.shot_index < times:
             raise error(f"board 01A2B3C4 is gone at {key.position}{key.shot_index}")
@@ -185,7 +179,7 @@ def lost_during(sets: range, position: str, times: int, error: type[Exception]) 
 FOUR_SHOTS = {"end_h": 2.5, "shots_per_set": 4}
 
 
-def test_a_long_loss_of_the_rig_disables_no_transducer(tmp_path: Path) -> None:
+def test_a_long_loss_of_the_rig_disables_no_transducer(tmp_path):
     disturb, _ = lost_during(range(1, 5), "B", 4, ConnectionLostError)
     settings = only("AB", small_settings(schedule={**FOUR_SHOTS, "end_h": 3.0}, quality=SILENT))
     assert run(settings, tmp_path, rig=disturbed_rig(disturb))
@@ -196,7 +190,7 @@ def test_a_long_loss_of_the_rig_disables_no_transducer(tmp_path: Path) -> None:
 TWO_SHOTS = {"end_h": 2.5, "shots_per_set": 2}
 
 
-def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(tmp_path: Path) -> None:
+def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(tmp_path):
     """Too few strikes to give the set up, but not one was answered."""
     disturb, _ = lost_during(range(1, 3), "B", 2, ConnectionLostError)
     settings = only("AB", small_settings(schedule=TWO_SHOTS))
@@ -206,14 +200,14 @@ def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(tmp_path: Pat
     assert alarm.message == "set 1 got no answer: board 01A2B3C4 is gone at B1; the next set tries again"
 
 
-def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(tmp_path: Path) -> None:
+def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(tmp_path):
     disturb, _ = lost_during(range(1, 3), "B", 2, ConnectionLostError)
     assert run(small_settings(schedule=TWO_SHOTS), tmp_path, rig=disturbed_rig(disturb))
     assert (None, "instruments_unavailable") not in alarms_of(tmp_path)
 
 
 @pytest.mark.parametrize("late", [False, True])
-def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path: Path, late: bool) -> None:
+def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path, late):
     """Heard while the set is awaited, or when its first record is."""
     disturb, _ = lost_during(range(1, 2), "B", 4, ConnectionLostError)
     rig = ordering_rig(tmp_path, [(1.5, "pause", {"note": "why"})], disturb, late=late)
@@ -222,7 +216,7 @@ def test_a_pause_does_not_report_that_the_rig_is_back(tmp_path: Path, late: bool
     assert alarms_of(tmp_path)[None, "instruments_unavailable"].state == "unacknowledged"
 
 
-def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_path: Path) -> None:
+def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_path):
     """The gate grants a repetition, and a hold comes before it: it was never made."""
     orders: list[Order] = [(1.0 + 4 / 3600, "pause", {"note": "door open"})]
     settings = only("B", two_hours())

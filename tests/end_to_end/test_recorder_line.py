@@ -1,9 +1,9 @@
 """The line from strike to alarm, in one process."""
 
+import math
 from collections import Counter
 from dataclasses import replace
 from importlib.metadata import version
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -14,13 +14,10 @@ from support.small_experiment import small_settings as half_a_day
 from support.stored_files import read_set, set_files
 
 from analysis.waves.features import extract_features, extract_from_average
-from daq_service.archive.waterfall.tiles import n_bytes
+from daq_service.archive.waterfall.tiles import WIDTHS, n_bytes
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, built_set_bytes, tile_bytes
 from daq_service.cli.offline.twin_line import assessed_sets
-from daq_service.settings.tree import Settings
-from simulator.shot.model import ShotModel
-from simulator.shot.pulse_summary import summarise
 
 BASELINE_SETS, SETS = 15, 19
 SHORT: dict[str, Any] = {
@@ -29,45 +26,46 @@ SHORT: dict[str, Any] = {
 }
 
 
-def small_settings(**tables: Any) -> Settings:
+def small_settings(**tables):
     """Return settings of the shortest test with an assessed baseline; ``tables`` override them."""
     return half_a_day(**{name: {**SHORT.get(name, {}), **tables.get(name, {})} for name in {*SHORT, *tables}})
 
 
-def pair_settings(**tables: Any) -> Settings:
+def pair_settings(**tables):
     """Return settings with a probe and one transducer: half the time, for repeated runs."""
     settings = small_settings(**tables)
     return settings.model_copy(update={"positions": {name: settings.positions[name] for name in "AB"}})
 
 
 @pytest.fixture(scope="module")
-def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished")
     assert run(small_settings(), folder)
     return folder
 
 
 @pytest.fixture(scope="module")
-def pair(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+def pair(tmp_path_factory):
     """Return the rows of an undisturbed test of a probe and one transducer."""
     folder = tmp_path_factory.mktemp("pair")
     assert run(pair_settings(), folder)
     return rows_of(folder)
 
 
-def test_the_forecast_is_the_folder_s_size(finished: Path) -> None:
+def test_the_forecast_is_the_folder_s_size(finished):
     settings = small_settings()
     files = sum(path.stat().st_size for path in (finished / "sets").iterdir())
     # 5 %: temperature, drop height and thinning wall make pulses, so also their bytes, differ by shot.
     assert SETS * built_set_bytes(settings) == pytest.approx(files, rel=0.05)
-    # A record's pretrigger samples may take a cell more.
-    assert tile_bytes(settings, SETS) == pytest.approx(n_bytes(finished), rel=0.01)
+    # Rows of incomplete blocks follow while no set is due; a pretrigger may take a cell more.
+    rows, complete = sum(math.ceil(SETS / width) for width in WIDTHS), sum(SETS // width for width in WIDTHS)
+    assert tile_bytes(settings, SETS) * complete / rows == pytest.approx(n_bytes(finished), rel=0.01)
     # Empty tables, 0.3 MB, and the newest states of the assessors, 0.4 MB, do not grow with the test.
     catalogue = (finished / FILE_NAME).stat().st_size
     assert pytest.approx(catalogue, abs=0.8e6) == CATALOGUE_BYTES_A_RECORD * SETS * 10
 
 
-def test_every_planned_set_has_its_row_file_and_features(finished: Path) -> None:
+def test_every_planned_set_has_its_row_file_and_features(finished):
     rows = rows_of(finished)
     assert Counter(row.state for row in rows["sets"]) == {"done": 4 * SETS}
     assert sorted(set_files(finished)) == list(range(SETS))
@@ -77,7 +75,7 @@ def test_every_planned_set_has_its_row_file_and_features(finished: Path) -> None
     assert len(rows["thickness"]) == SETS
 
 
-def test_the_catalogue_matches_the_files(finished: Path) -> None:
+def test_the_catalogue_matches_the_files(finished):
     """Features computed again from the file alone are those of the catalogue, to the last bit."""
     stored = {row.sequence: row for row in rows_of(finished)["shot_features"]}
     record = read_set(set_files(finished)[7])
@@ -90,7 +88,7 @@ def test_the_catalogue_matches_the_files(finished: Path) -> None:
         }
 
 
-def test_a_file_matches_the_catalogue_rows_of_its_set(finished: Path) -> None:
+def test_a_file_matches_the_catalogue_rows_of_its_set(finished):
     rows = rows_of(finished)
     with h5py.File(set_files(finished)[7]) as file:
         entry = file["entry"]
@@ -108,26 +106,7 @@ def test_a_file_matches_the_catalogue_rows_of_its_set(finished: Path) -> None:
         assert entry["thickness/thickness_m"][()].tolist() == [wall]
 
 
-def test_a_stored_shot_is_what_simulate_gives_at_its_depth_height_and_tilt(finished: Path) -> None:
-    settings = small_settings()
-    record = read_set(set_files(finished)[SETS - 1])
-    shot = next(shot for shot in record.shots if shot.key.position == "B")
-    place = settings.positions["B"]
-    again = summarise(
-        ShotModel(place.chain, place.plate, place.corrosion).shot(
-            depth_fraction=shot.truth["depth_fraction"],
-            drop_height_m=shot.truth["drop_height_m"],
-            tilt_rad=shot.truth["tilt_rad"],
-        )
-    )
-    # The issue's bound; the same code on the same numbers in fact repeats every bit.
-    assert shot.truth["isw_peak_n"] == pytest.approx(again.isw_peak_n, rel=1e-6)
-    assert shot.truth["psw_peak_n"] == pytest.approx(again.psw_peak_n, rel=1e-6)
-    assert shot.truth["tof_s"] * 1e6 == pytest.approx(again.tof_us, rel=1e-6)
-    assert shot.truth["amplitude_ratio"] == pytest.approx(again.amplitude_ratio, rel=1e-6)
-
-
-def test_assessment_without_recorder_and_storage_gives_the_same_result(finished: Path) -> None:
+def test_assessment_without_recorder_and_storage_gives_the_same_result(finished):
     rows, assessed = rows_of(finished), list(assessed_sets(small_settings(), "B"))
     of_sets = [found.position_result.features[-1] for found in assessed]
     stored = [row for row in rows["set_features"] if row.position == "B"]
@@ -145,7 +124,7 @@ def test_assessment_without_recorder_and_storage_gives_the_same_result(finished:
         )
 
 
-def test_features_may_come_from_the_averaged_record_as_in_the_paper(finished: Path, tmp_path: Path) -> None:
+def test_features_may_come_from_the_averaged_record_as_in_the_paper(finished, tmp_path):
     assert run(small_settings(features={"of_set": "averaged_waveform"}, schedule={"end_h": 2.0}), tmp_path)
     ours = rows_of(tmp_path)
     usual = [row for row in rows_of(finished)["set_features"] if row.set_index < 4]
@@ -160,7 +139,7 @@ def test_features_may_come_from_the_averaged_record_as_in_the_paper(finished: Pa
         assert averaged.noise_rms_v < 0.8 * mean.noise_rms_v, "three records are averaged"
 
 
-def test_disturbances_of_a_shot_are_stored_with_it_and_forecast(tmp_path: Path) -> None:
+def test_disturbances_of_a_shot_are_stored_with_it_and_forecast(tmp_path):
     settings = pair_settings(twin={"nuisance": "plant"}, schedule={"end_h": 1.0})
     assert run(settings, tmp_path)
     sizes = [path.stat().st_size for path in (tmp_path / "sets").iterdir()]
@@ -172,7 +151,7 @@ def test_disturbances_of_a_shot_are_stored_with_it_and_forecast(tmp_path: Path) 
     assert sum(name.startswith("nuisance_") for name in stored[0].truth) == 12 + 2 * 9
 
 
-def test_a_test_carried_on_for_longer_has_the_same_rows(pair: dict[str, Any], tmp_path: Path) -> None:
+def test_a_test_carried_on_for_longer_has_the_same_rows(pair, tmp_path):
     assert run(pair_settings(schedule={"end_h": 4.0}), tmp_path)
     assert run(pair_settings(), tmp_path)
     assert rows_of(tmp_path) == pair

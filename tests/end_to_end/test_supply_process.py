@@ -3,19 +3,18 @@
 import os
 import signal
 import subprocess
-import sys
 import threading
-from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
 
 import pytest
+from support.command_line import SOLIMON, solimon_here
+from support.machine import clock_in_seconds
 from support.notify_socket import notify_socket
 from support.offered_kinds import offer
 from support.scripted_kinds import OFFERED
-from support.small_experiment import RigOpener, disturbed_rig, small_settings
+from support.small_experiment import disturbed_rig, small_settings
 from support.stepped_clock import SteppedClock
 from support.waiting import ended, until
 
@@ -45,8 +44,6 @@ from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.instruments import with_defaults
 from daq_service.settings.tree import Settings
-from hardware_drivers.instruments import Acquired, Clock, Rig
-from hardware_drivers.measurement import ShotKey
 from simulator.doubles.serial.instruments import SerialInstruments
 from simulator.doubles.serial.link import pseudo_terminals_missing
 from simulator.doubles.serial.supply import Cell, Supply
@@ -60,13 +57,11 @@ WATCHED_S, UNWATCHED_S = 600.0, 1.0
 IDENTITY = "SOLIMON,DC SUPPLY DOUBLE"
 
 
-def line_of(instruments: SerialInstruments, reply_timeout_s: float = 5.0) -> dict[str, str | float]:
+def line_of(instruments, reply_timeout_s=5.0):
     return {"port": str(instruments.supply_link.path), "reply_timeout_s": reply_timeout_s}
 
 
-def settings_of(
-    instruments: SerialInstruments, *, unwatched_s: float, off_at_end: bool, sets: int, **supply: Any
-) -> Settings:
+def settings_of(instruments, *, unwatched_s, off_at_end, sets, **supply):
     """Return settings of a set per second on the twin, with the supply."""
     return small_settings(
         clock={"kind": "wall"},
@@ -90,7 +85,7 @@ def settings_of(
     )
 
 
-def mixed_settings_of(instruments: SerialInstruments, *, unwatched_s: float) -> Settings:
+def mixed_settings_of(instruments, *, unwatched_s):
     """Return instruments of another package at B, and a text supply of a mixed rig."""
     plain = settings_of(instruments, unwatched_s=unwatched_s, off_at_end=True, sets=600)
     return with_defaults(
@@ -114,7 +109,7 @@ def mixed_settings_of(instruments: SerialInstruments, *, unwatched_s: float) -> 
 
 
 @contextmanager
-def without_supply(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+def without_supply(settings, clock, epoch_utc_ns):
     """Open the twin without the supply, which belongs to another process."""
     rig = settings.rig.model_copy(update={"supply": None})
     with open_rig(settings.model_copy(update={"rig": rig}), clock, epoch_utc_ns) as opened:
@@ -131,30 +126,20 @@ class Test:
     instruments: SerialInstruments
     orders: list[int] = field(default_factory=list)
 
-    def settings(
-        self, *, unwatched_s: float = WATCHED_S, off_at_end: bool = True, sets: int = SETS, **supply: Any
-    ) -> Settings:
+    def settings(self, *, unwatched_s=WATCHED_S, off_at_end=True, sets=SETS, **supply):
         return settings_of(
             self.instruments, unwatched_s=unwatched_s, off_at_end=off_at_end, sets=sets, **supply
         )
 
-    def order(self, kind: str, **arguments: Any) -> None:
+    def order(self, kind, **arguments):
         with open_catalogue(self.folder) as catalogue:
             self.orders.append(catalogue.add_command("Ada", kind, arguments))
 
-    def run(
-        self,
-        settings: Settings,
-        *,
-        after: Mapping[int, Callable[[], None]] | None = None,
-        rig: RigOpener = without_supply,
-        stop: threading.Event | None = None,
-        wall_clock: Callable[[], Clock] | None = None,
-    ) -> bool:
+    def run(self, settings, *, after=None, rig=without_supply, stop=None, wall_clock=None):
         """Record to the end; act after the n-th set."""
         prepare_data_folder(self.folder)
 
-        def notify(event: str, **values: Any) -> None:
+        def notify(event, **values):
             if event == "progress":
                 (after or {}).get(values["done"], lambda: None)()
 
@@ -172,7 +157,7 @@ class Test:
             )
 
     @contextmanager
-    def recording(self, settings: Settings) -> Iterator[None]:
+    def recording(self, settings):
         """Record in real time next to the test, until the test stops it."""
         stop = threading.Event()
         settings = settings.model_copy(
@@ -189,7 +174,7 @@ class Test:
             stop.set()
             ended(recorder, "the stop")
 
-    def run_switched_on(self, settings: Settings) -> None:
+    def run_switched_on(self, settings):
         """Record in real time until an operator has switched the supply on and its charge is stored."""
         with self.recording(settings):
             until(self.has_started, "the recorder")
@@ -197,14 +182,14 @@ class Test:
             until(lambda: self.answers() == ["done"], "the answer")
             until(self.has_charge, "a set with its charge")
 
-    def switchings(self) -> list[bool]:
+    def switchings(self):
         return [change.on for change in self.instruments.output_changes()]
 
-    def alarms(self) -> dict[str, AlarmRow]:
+    def alarms(self):
         with open_catalogue(self.folder) as catalogue:
             return {row.kind: row for row in catalogue.rows(AlarmRow)}
 
-    def has_started(self) -> bool:
+    def has_started(self):
         """Return whether the recorder has reported a first set."""
         try:
             with open_catalogue(self.folder) as catalogue:
@@ -212,39 +197,39 @@ class Test:
         except NoDataYetError:
             return False
 
-    def charge_coulomb(self) -> float:
+    def charge_coulomb(self):
         with open_catalogue(self.folder) as catalogue:
             return max(row.charge_coulomb or 0.0 for row in catalogue.rows(EnvironmentRow))
 
-    def has_charge(self) -> bool:
+    def has_charge(self):
         return self.charge_coulomb() > 0.0
 
-    def answers(self) -> list[str]:
+    def answers(self):
         with open_catalogue(self.folder) as catalogue:
             rows = [catalogue.command(order) for order in self.orders]
         return [row.state for row in rows if row is not None]
 
-    def drive(self) -> int:
+    def drive(self):
         """Return the id of the running supply process."""
         return int(lock_text(self.folder, DRIVE_LOCK).partition("\n")[0].removeprefix("process "))
 
-    def drive_has_left(self) -> bool:
+    def drive_has_left(self):
         return is_owned(self.folder, DRIVE_LOCK) is False
 
-    def is_switched_off_unwatched(self) -> None:
+    def is_switched_off_unwatched(self):
         """Wait for the switch-off and check the status meanwhile."""
         until(lambda: not self.instruments.supply.on, "the unwatched supply is off")
         until(self.drive_has_left, "the process of the drive has left")
         assert self.switchings() == [True, False]
         now = read_supply_status(self.folder)
         assert now is not None
-        assert (now.state, now.last, now.unwatched) == ("unknown", "off", True)
+        assert (now.state, now.last, now.watchdog_trip) == ("unknown", "off", True)
         description = describe_status(self.folder, Settings())["supply"]["description"]
         assert "tripped: no recorder was heard" in description
 
 
 @pytest.fixture
-def test(tmp_path: Path) -> Iterator[Test]:
+def test(tmp_path):
     (tmp_path / "ports").mkdir()
     with SerialInstruments(tmp_path / "ports", supply=Supply(noise_v=0.0, noise_a=0.0)) as instruments:
         test = Test(tmp_path / "data", instruments)
@@ -253,7 +238,7 @@ def test(tmp_path: Path) -> Iterator[Test]:
             os.kill(test.drive(), signal.SIGKILL)
 
 
-def test_the_end_switches_off_and_the_process_leaves_also_without_the_supply(test: Test) -> None:
+def test_the_end_switches_off_and_the_process_leaves_also_without_the_supply(test):
     test.run_switched_on(test.settings(unwatched_s=3.0))
     assert test.switchings() == [True, False], "off when the recorder ends"
     test.instruments.supply_link.unplug()
@@ -265,7 +250,7 @@ def test_the_end_switches_off_and_the_process_leaves_also_without_the_supply(tes
     assert test.alarms() == {}
 
 
-def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(test: Test) -> None:
+def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(test):
     settings = test.settings(unwatched_s=UNWATCHED_S, off_at_end=False)
     test.run_switched_on(settings)
     test.is_switched_off_unwatched()
@@ -283,16 +268,14 @@ def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(te
 @pytest.mark.parametrize(
     "error", [pytest.param(RigError, marks=pytest.mark.slow), StorageError], ids=["exit 3", "exit 4"]
 )
-def test_the_output_is_switched_off_after_the_final_end_of_a_recorder(
-    test: Test, error: type[Exception]
-) -> None:
-    def disturb(key: ShotKey, acquired: Acquired) -> Acquired:
+def test_the_output_is_switched_off_after_the_final_end_of_a_recorder(test, error):
+    def disturb(key, acquired):
         if test.answers() == ["done"] and test.instruments.supply.on:
             raise error("it ends")
         return acquired
 
     @contextmanager
-    def rig(settings: Settings, clock: Clock, epoch_utc_ns: int) -> Iterator[Rig]:
+    def rig(settings, clock, epoch_utc_ns):
         bare = settings.rig.model_copy(update={"supply": None})
         with disturbed_rig(disturb)(settings.model_copy(update={"rig": bare}), clock, epoch_utc_ns) as opened:
             yield opened
@@ -307,7 +290,7 @@ def test_the_output_is_switched_off_after_the_final_end_of_a_recorder(
     test.is_switched_off_unwatched()
 
 
-def test_a_killed_supply_process_is_unknown_and_its_successor_energizes_nothing(test: Test) -> None:
+def test_a_killed_supply_process_is_unknown_and_its_successor_energizes_nothing(test):
     settings = test.settings(off_at_end=False)
     with test.recording(settings):
         until(lambda: is_owned(test.folder, DRIVE_LOCK), "the drive")
@@ -330,9 +313,7 @@ def test_a_killed_supply_process_is_unknown_and_its_successor_energizes_nothing(
 
 
 @pytest.mark.parametrize("state", [pytest.param("on", marks=pytest.mark.slow), "unreadable"])
-def test_a_supply_process_killed_after_the_recorder_is_restarted_and_switches_off(
-    test: Test, state: str
-) -> None:
+def test_a_supply_process_killed_after_the_recorder_is_restarted_and_switches_off(test, state):
     test.run_switched_on(test.settings(off_at_end=False))
     os.kill(test.drive(), signal.SIGKILL)
     until(test.drive_has_left, "the kill")
@@ -342,14 +323,18 @@ def test_a_supply_process_killed_after_the_recorder_is_restarted_and_switches_of
     sooner = test.settings(off_at_end=False, unwatched_s=UNWATCHED_S)
     assert sooner.rig.supply is not None
 
-    def start() -> subprocess.Popen[bytes]:
+    def start():
         started.append(start_drive(sooner, test.folder))
         return started[-1]
 
     now_s = [0.0]
-    remote = RemoteDrive(sooner.rig.supply, test.folder, start, watches=False, mono_s=lambda: now_s[0])
+    remote = RemoteDrive(
+        sooner.rig.supply, test.folder, start, watches=False, machine=clock_in_seconds(lambda: now_s[0])
+    )
     with remote:
-        guard = DriveGuard(test.folder, remote, check_every_s=600.0, mono_s=lambda: now_s[0])
+        guard = DriveGuard(
+            test.folder, remote, check_every_s=600.0, machine=clock_in_seconds(lambda: now_s[0])
+        )
         guard.check()
         assert len(started) == 1
         until(lambda: not test.instruments.supply.on, "the supply is off")
@@ -362,11 +347,11 @@ def test_a_supply_process_killed_after_the_recorder_is_restarted_and_switches_of
 
 
 @contextmanager
-def started(test: Test, word: str, settings: Settings) -> Iterator[subprocess.Popen[bytes]]:
+def started(test, word, settings):
     """Run ``solimon record`` or ``run`` on the folder until an operator has switched the supply on."""
     prepare_data_folder(test.folder)
     config = write_configuration(settings, test.folder)
-    command = [sys.executable, "-m", "daq_service.cli", word, str(config), "--data-dir", str(test.folder)]
+    command = [*SOLIMON, word, str(config), "--data-dir", str(test.folder)]
     command += ["--no-web"] if word == "run" else []
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
@@ -378,7 +363,7 @@ def started(test: Test, word: str, settings: Settings) -> Iterator[subprocess.Po
             process.kill()
 
 
-def recorder_of(test: Test) -> int:
+def recorder_of(test):
     beat = read_heartbeat(test.folder)
     assert beat is not None
     return beat.process
@@ -393,9 +378,7 @@ def recorder_of(test: Test) -> int:
     ],
     ids=["recorder alone", "supervisor", "supervisor and recorder"],
 )
-def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(
-    test: Test, word: str, killed: list[str]
-) -> None:
+def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(test, word, killed):
     settings = test.settings(unwatched_s=UNWATCHED_S, sets=600)
     with started(test, word, settings) as process:
         recorder = recorder_of(test)
@@ -407,7 +390,7 @@ def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(
 
 
 @pytest.fixture
-def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def offered(tmp_path, monkeypatch):
     """Offer the instruments of another package to this process and its children."""
     offer(monkeypatch, tmp_path / "site", OFFERED)
     paths = [str(tmp_path / "site"), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
@@ -416,7 +399,7 @@ def offered(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("offered")
-def test_the_supply_of_a_mixed_rig_is_switched_off_after_a_kill(test: Test) -> None:
+def test_the_supply_of_a_mixed_rig_is_switched_off_after_a_kill(test):
     settings = mixed_settings_of(test.instruments, unwatched_s=UNWATCHED_S)
     with started(test, "record", settings) as process:
         until(test.has_charge, "a set with its charge")
@@ -427,7 +410,7 @@ def test_the_supply_of_a_mixed_rig_is_switched_off_after_a_kill(test: Test) -> N
         test.is_switched_off_unwatched()
 
 
-def test_a_recorder_that_its_supervisor_starts_again_goes_on(test: Test) -> None:
+def test_a_recorder_that_its_supervisor_starts_again_goes_on(test):
     with started(test, "run", test.settings(sets=600)) as process:
         drive, recorder = test.drive(), recorder_of(test)
         os.kill(recorder, signal.SIGKILL)
@@ -442,18 +425,10 @@ def test_a_recorder_that_its_supervisor_starts_again_goes_on(test: Test) -> None
     assert test.switchings() == [True, False], "off at the end"
 
 
-def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test: Test) -> None:
+def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test):
     prepare_data_folder(test.folder)
     config = write_configuration(test.settings(), test.folder)
-    command = [
-        sys.executable,
-        "-m",
-        "daq_service.cli",
-        "supply-process",
-        str(config),
-        "--data-dir",
-        str(test.folder),
-    ]
+    command = [*SOLIMON, "supply-process", str(config), "--data-dir", str(test.folder)]
     test.instruments.supply_link.do(lambda: test.instruments.supply.press_output_key(True))
     with notify_socket(test.folder.parent) as (manager, heard):
         environment = {**os.environ, **manager}
@@ -481,7 +456,7 @@ def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test: 
 
 
 @contextmanager
-def energised(test: Test, **supply: Any) -> Iterator[None]:
+def energised(test, **supply):
     """Yield a recorder in real time whose supply an operator has switched on."""
     with test.recording(test.settings(**supply)):
         until(test.has_started, "the recorder")
@@ -490,12 +465,12 @@ def energised(test: Test, **supply: Any) -> Iterator[None]:
         yield
 
 
-def alarm(test: Test, kind: str) -> str:
+def alarm(test, kind):
     return until(lambda: test.alarms().get(kind), kind).message
 
 
 @pytest.mark.parametrize("off", ["command", pytest.param("brown-out", marks=pytest.mark.slow)])
-def test_an_output_that_comes_on_by_itself_is_switched_off(test: Test, off: str) -> None:
+def test_an_output_that_comes_on_by_itself_is_switched_off(test, off):
     with energised(test):
         if off == "command":
             test.order("supply_off")
@@ -508,11 +483,11 @@ def test_an_output_that_comes_on_by_itself_is_switched_off(test: Test, off: str)
         assert not test.instruments.supply.on
 
 
-def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(test: Test) -> None:
+def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(test):
     supply, link = test.instruments.supply, test.instruments.supply_link
     switch = supply._switch
 
-    def switch_and_fall_silent(on: bool, cause: str) -> None:
+    def switch_and_fall_silent(on, cause):
         switch(on, cause)
         if on:
             link._set_faults(replace(link._faults, silent=True))
@@ -521,7 +496,7 @@ def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(
     with test.recording(test.settings(line=line_of(test.instruments, reply_timeout_s=0.2))):
         until(test.has_started, "the recorder")
         test.order("supply_on")
-        until(lambda: test.answers() == ["refused"], "the answer")
+        until(lambda: test.answers() == ["rejected"], "the answer")
         assert supply.on
         assert "output may be ON" in alarm(test, "supply_switch_off_pending")
         link.clear_faults()
@@ -529,7 +504,7 @@ def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(
         until(lambda: test.alarms()["supply_switch_off_pending"].state != "unacknowledged", "its return")
 
 
-def test_before_a_successor_with_another_port_it_switches_off(test: Test) -> None:
+def test_before_a_successor_with_another_port_it_switches_off(test):
     test.run_switched_on(test.settings(off_at_end=False))
     assert test.instruments.supply.on
     line = {"port": "/dev/solimon-absent"}
@@ -540,7 +515,7 @@ def test_before_a_successor_with_another_port_it_switches_off(test: Test) -> Non
 
 
 @pytest.mark.slow
-def test_without_a_successor_that_reads_the_supply_it_switches_off(test: Test) -> None:
+def test_without_a_successor_that_reads_the_supply_it_switches_off(test):
     """A successor without rights, or one that crashes before its first reading."""
     test.run_switched_on(test.settings(off_at_end=False, unwatched_s=600.0))
     address = address_of(test.folder)
@@ -553,7 +528,7 @@ def test_without_a_successor_that_reads_the_supply_it_switches_off(test: Test) -
     connection.close()
 
 
-def test_a_disk_that_hangs_does_not_delay_the_interlock(test: Test) -> None:
+def test_a_disk_that_hangs_does_not_delay_the_interlock(test):
     with energised(test):
         os.mkfifo(test.folder / "drive.new")  # nothing reads it: each write of the state hangs
         short = Cell(resistance_ohm=1.0)
@@ -562,7 +537,7 @@ def test_a_disk_that_hangs_does_not_delay_the_interlock(test: Test) -> None:
         assert "consecutive readings" in alarm(test, "interlock_tripped")
 
 
-def test_a_supply_process_that_stalls_at_the_end_is_replaced_and_switches_off(test: Test) -> None:
+def test_a_supply_process_that_stalls_at_the_end_is_replaced_and_switches_off(test):
     with energised(test):
         stopped = test.drive()
         os.kill(stopped, signal.SIGSTOP)
@@ -571,7 +546,7 @@ def test_a_supply_process_that_stalls_at_the_end_is_replaced_and_switches_off(te
 
 
 @pytest.mark.slow
-def test_a_supply_process_that_stalls_is_replaced_and_commands_cost_no_set(test: Test) -> None:
+def test_a_supply_process_that_stalls_is_replaced_and_commands_cost_no_set(test):
     line = line_of(test.instruments, reply_timeout_s=0.1)
     with energised(test, line=line, read_timeout_s=1.0):
         stopped = test.drive()
@@ -583,7 +558,7 @@ def test_a_supply_process_that_stalls_is_replaced_and_commands_cost_no_set(test:
             assert {row.state for row in catalogue.rows(SetRow)} == {"done"}
 
 
-def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test: Test) -> None:
+def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test):
     supply, link = test.instruments.supply, test.instruments.supply_link
     with energised(test, deviation_after_s=0.5):
         link.do(lambda: setattr(supply, "cell", Cell(resistance_ohm=1e9)))
@@ -594,15 +569,7 @@ def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test: 
         assert not supply.on
 
 
-def test_a_test_without_a_supply_has_no_supply_process(tmp_path: Path) -> None:
-    command = [
-        sys.executable,
-        "-m",
-        "daq_service.cli",
-        "supply-process",
-        "--data-dir",
-        str(tmp_path / "data"),
-    ]
-    refused = subprocess.run(command, capture_output=True, text=True, check=False)
+def test_a_test_without_a_supply_has_no_supply_process(tmp_path):
+    refused = solimon_here("supply-process", "--data-dir", str(tmp_path / "data"), env={})
     assert refused.returncode == 2
     assert "[rig.supply]" in refused.stderr

@@ -5,15 +5,14 @@ import os
 import re
 import signal
 import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
+from support.command_line import SOLIMON
 
 from daq_service.cli.main import cli
 
-SOLIMON = [sys.executable, "-m", "daq_service.cli"]
 LIMIT_S = 120.0
 """Far beyond any of these runs, on a loaded machine too: a hang ends in an error, not in silence."""
 

@@ -41,7 +41,7 @@ from hardware_drivers.errors import (
     ConnectionLostError,
 )
 from hardware_drivers.measurement import ShotKey
-from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SIMULTANEOUS_18_BIT, SLOW, Description
+from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SIMULTANEOUS_18_BIT, SLOW
 from simulator.parameters.electronics import NoiseParameters
 
 SERIAL = SIMULTANEOUS_16_BIT.serial_number
@@ -623,8 +623,3 @@ def test_a_killed_server_is_found_again_at_its_address():
         second = stack.enter_context(running_brain(DESCRIPTION))
         forwarder.target = second.grpc
         assert_sound(remote, take(rig, second, key(2)), key(2))
-
-
-def test_a_description_without_its_boards_is_refused():
-    with pytest.raises(ValueError, match="not described"):
-        Description(boards=(), transducers={"C": wired(SERIAL, 0)})

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import random
 import shutil
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import pytest
 from support.life_of_a_test import lived
-from support.memory_line import Line
-from support.table_rows import Rows, table_rows
+from support.table_rows import table_rows
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
@@ -29,11 +26,11 @@ REBUILT_EVERY = 40
 
 
 @pytest.fixture(scope="module")
-def life(tmp_path_factory: pytest.TempPathFactory) -> Line:
+def life(tmp_path_factory):
     return lived(tmp_path_factory.mktemp("life"))
 
 
-def damaged(content: bytes, number: int, seed: int) -> Iterator[bytes]:
+def damaged(content, number, seed):
     """Yield contents with one bit changed, nine of ten; others truncated. Zeros, mostly free space, stay."""
     nonzero = [place for place, byte in enumerate(content) if byte]
     chosen = random.Random(seed)
@@ -45,7 +42,7 @@ def damaged(content: bytes, number: int, seed: int) -> Iterator[bytes]:
             yield content[:place] + bytes([content[place] ^ 1 << chosen.randrange(8)]) + content[place + 1 :]
 
 
-def rows_read(folder: Path, *, writer: bool) -> dict[type[Row], list[Any] | None]:
+def rows_read(folder, *, writer):
     """Return rows of every kind, or None where corruption is reported."""
     found: dict[type[Row], list[Any] | None] = dict.fromkeys(KINDS)
     try:
@@ -60,7 +57,7 @@ def rows_read(folder: Path, *, writer: bool) -> dict[type[Row], list[Any] | None
     return found
 
 
-def changed_unnamed(folder: Path, content: bytes, whole: Rows) -> list[tuple[str, Any]]:
+def changed_unnamed(folder, content, whole):
     """Return rows of a corrupt file that differ and are not reported as corrupt."""
     path = folder / FILE_NAME
     path.write_bytes(content)  # a start may have repaired other files
@@ -77,9 +74,7 @@ def changed_unnamed(folder: Path, content: bytes, whole: Rows) -> list[tuple[str
 
 
 @pytest.mark.parametrize("number", [30, pytest.param(1000, marks=pytest.mark.slow)])
-def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(
-    life: Line, tmp_path: Path, number: int
-) -> None:
+def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(life, tmp_path, number):
     whole = rows_read(life.folder, writer=False)
     rows, original = table_rows(life.folder), (life.folder / FILE_NAME).read_bytes()
     reported = 0
@@ -106,7 +101,7 @@ def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(
 
 
 @pytest.mark.parametrize("number", [300, pytest.param(3000, marks=pytest.mark.slow)])
-def test_the_history_returns_the_written_events_and_reports_missing_ones(life: Line, number: int) -> None:
+def test_the_history_returns_the_written_events_and_reports_missing_ones(life, number):
     original = (life.folder / HISTORY_FILE).read_bytes()
     whole = parse_lines(original)
     for count, content in enumerate(damaged(original, number, seed=7)):

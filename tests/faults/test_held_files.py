@@ -4,13 +4,13 @@ import errno
 import json
 import signal
 import subprocess
-import sys
 import urllib.error
 import urllib.request
 from collections import Counter
 from pathlib import Path
 
 import pytest
+from support.command_line import SOLIMON
 from support.refusing_files import build, needs_a_preload, refusing
 from support.small_experiment import SMALL, rows_of, run, small_settings
 from support.waiting import until
@@ -39,13 +39,13 @@ def undisturbed(tmp_path_factory):
     return rows_of(folder)
 
 
-def written(folder: Path) -> Path:
+def written(folder):
     config = folder / "test.json"
     config.write_text(json.dumps({**SMALL, "schedule": SHORT}), encoding="utf-8")
     return config
 
 
-def asked(url: str) -> tuple[int, bytes]:
+def asked(url):
     try:
         with urllib.request.urlopen(url, timeout=60.0) as answer:
             return answer.status, answer.read()
@@ -63,17 +63,7 @@ def asked(url: str) -> tuple[int, bytes]:
 )
 def test_recorder_supervisor_and_web_survive_held_files(library, undisturbed, tmp_path, when):
     data, log = tmp_path / "data", tmp_path / "refused"
-    command = [
-        sys.executable,
-        "-m",
-        "daq_service.cli",
-        "run",
-        written(tmp_path),
-        "--data-dir",
-        data,
-        "--port",
-        "0",
-    ]
+    command = [*SOLIMON, "run", written(tmp_path), "--data-dir", data, "--port", "0"]
     held = refusing(library, data, calls=CALLS, errno=errno.EACCES, when=when, log=log)
     with subprocess.Popen(
         command, env=held, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
@@ -116,7 +106,7 @@ def test_recorder_supervisor_and_web_survive_held_files(library, undisturbed, tm
         assert any(name.startswith("set_") for name in files)
 
 
-def n_sets(data: Path) -> int:
+def n_sets(data):
     try:
         with open_catalogue(data) as catalogue:
             return len({row.set_index for row in catalogue.rows(SetRow)})
@@ -141,7 +131,7 @@ def test_a_disk_that_takes_nothing_is_waited_for(library, undisturbed, tmp_path,
         library, data / part, calls="write", errno=number, when="file", log=log, while_there=broken
     )
     environment["SOLIMON_CLOCK__PACE_H_PER_S"] = "1.0"
-    command = [sys.executable, "-m", "daq_service.cli", "record", written(tmp_path), "--data-dir", data]
+    command = [*SOLIMON, "record", written(tmp_path), "--data-dir", data]
     recorder_log = data / "logs" / "recorder.log"
     with subprocess.Popen(command, env=environment, stderr=subprocess.PIPE, text=True) as process:
         try:

@@ -98,12 +98,12 @@ LONGEST_LIFE_S = 0.5
 class Processes:
     """Recorder and web service of one folder, each restarted when it is gone."""
 
-    def __init__(self, config: Path, folder: Path) -> None:
+    def __init__(self, config, folder):
         self.folder, self.url, self.kills = folder, "", Counter[str]()
         self._common = [config, "--data-dir", folder]
         self._running: dict[str, subprocess.Popen[str]] = {}
 
-    def start(self) -> None:
+    def start(self):
         """Start missing processes; wait until the service listens."""
         words = {
             "recorder": ["record", *self._common, "--linger"],
@@ -124,14 +124,14 @@ class Processes:
                 assert first_line.startswith("dashboard: "), first_line
                 self.url = first_line.split()[1]
 
-    def kill(self, *names: str) -> None:
+    def kill(self, *names):
         for name in names:
             self._running[name].kill()
             self.kills[name] += 1
         for name in names:
             ended(self._running[name], "the kill")
 
-    def stop(self) -> None:
+    def stop(self):
         """Let the recorder answer open commands and end."""
         for process in reversed(self._running.values()):
             process.terminate()
@@ -141,13 +141,13 @@ class Processes:
 class Client(threading.Thread):
     """Client that sends consecutive commands and checks their results while the service restarts."""
 
-    def __init__(self, processes: Processes) -> None:
+    def __init__(self, processes):
         super().__init__()
         self.stop, self.answered, self.faults = threading.Event(), set[int](), list[str]()
         self.given = 0
         self._processes = processes
 
-    def run(self) -> None:
+    def run(self):
         steps = itertools.cycle(range(11))
         step = next(steps)
         while not self.stop.is_set():
@@ -157,7 +157,7 @@ class Client(threading.Thread):
             except httpx.TransportError:
                 self.stop.wait(0.05)  # nothing listens there now
 
-    def _order(self, step: int):
+    def _order(self, step):
         """Send the next command of a round in which each is possible after those before it."""
         if 3 <= step < 8:
             return alarm_orders(self._newest("alarms?position=C&kind=transducer_disabled&active=true"))[
@@ -174,11 +174,11 @@ class Client(threading.Thread):
             10: lambda: command("resume"),
         }[step]()
 
-    def _newest(self, listing: str) -> int:
+    def _newest(self, listing):
         items = self._ask("GET", listing).json().get("items")
         return items[-1]["id"] if items else 1
 
-    def _give(self, path: str, body: dict[str, object]) -> None:
+    def _give(self, path, body):
         body = {**body, "author": person(self.given)}
         self.given += 1
         answer = self._ask("POST", path, json=body)
@@ -188,13 +188,13 @@ class Client(threading.Thread):
         elif answer.status_code not in (404, 409, 503):
             self.faults.append(answer.text)
 
-    def _follow(self, order_id: int) -> None:
+    def _follow(self, order_id):
         while not self.stop.wait(0.01):
             answer = self._ask("GET", f"commands/{order_id}")
             if answer.status_code != 200 or answer.json()["state"] not in ("pending", "started"):
                 return
 
-    def _ask(self, method: str, path: str, **body: object) -> httpx.Response:
+    def _ask(self, method, path, **body):
         url = f"{self._processes.url}api/v1/{path}"
         return httpx.request(method, url, timeout=WAIT_S, verify=False, **body)
 

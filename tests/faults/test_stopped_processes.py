@@ -7,13 +7,10 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
-from typing import Any
 
 import pytest
-from support.receivers import HttpReceiver, http_receiver
+from support.receivers import http_receiver
 from support.waiting import ended, until
 
 from daq_service.catalogue import open_catalogue
@@ -61,7 +58,7 @@ if "record" in sys.orig_argv and os.path.exists(os.environ["BREAKS"]):
 class Processes:
     """Processes of a test, started from the command line."""
 
-    def __init__(self, folder: Path, url: str, stack: ExitStack) -> None:
+    def __init__(self, folder, url, stack):
         self.folder, self.data, self.breaks = folder, folder / "data", folder / "breaks"
         self.config = folder / "test.toml"
         self.config.write_text(CONFIGURATION % url, encoding="utf-8")
@@ -74,14 +71,14 @@ class Processes:
         }
         self._stack = stack
 
-    def start(self, *words: str) -> subprocess.Popen[bytes]:
+    def start(self, *words):
         command = [sys.executable, "-m", "daq_service.cli", *words, str(self.config), "--data-dir"]
         process = subprocess.Popen([*command, str(self.data)], env=self._environment)
         self._stack.enter_context(process)
         self._stack.callback(process.kill)
         return process
 
-    def alarm(self, kind: str) -> str:
+    def alarm(self, kind):
         """Return the state of its newest alarm; empty if none was raised."""
         try:
             with open_catalogue(self.data) as catalogue:
@@ -90,48 +87,48 @@ class Processes:
             return ""
         return rows[-1].state if rows else ""
 
-    def has_sets(self) -> bool:
+    def has_sets(self):
         try:
             with open_catalogue(self.data) as catalogue:
                 return catalogue.newest_recorded() is not None
         except NoDataYetError:
             return False
 
-    def recorder(self) -> int:
+    def recorder(self):
         beat = read_heartbeat(self.data)
         assert beat is not None
         return beat.process
 
-    def web(self) -> int:
+    def web(self):
         beat = read_heartbeat(self.data, WEB_FILE)
         return 0 if beat is None else beat.process
 
 
 @pytest.fixture
-def receiver() -> Iterator[HttpReceiver]:
+def receiver():
     with http_receiver() as running:
         yield running
 
 
 @pytest.fixture
-def test(tmp_path: Path, receiver: HttpReceiver) -> Iterator[Processes]:
+def test(tmp_path, receiver):
     with ExitStack() as stack:
         yield Processes(tmp_path, receiver.url, stack)
 
 
-def news(receiver: HttpReceiver) -> list[tuple[str, str]]:
+def news(receiver):
     """Return kind and change of each alarm in the next message."""
     return [(item["kind"], item["change"]) for item in receiver.next().message["alarms"]]
 
 
-def became(test: Processes, kind: str, state: str) -> Callable[[], Any]:
+def became(test, kind, state):
     return lambda: test.alarm(kind) == state
 
 
 RECORDER, WEB = "recorder_not_running", "web_not_responding"
 
 
-def test_services_of_a_service_manager_notice_each_other(test: Processes, receiver: HttpReceiver) -> None:
+def test_services_of_a_service_manager_notice_each_other(test, receiver):
     recorder, web = test.start("record"), test.start("serve", "--port", "0")
     until(lambda: test.has_sets() and test.web(), "the first set and a web service")
     web.send_signal(signal.SIGSTOP)
@@ -151,9 +148,7 @@ def test_services_of_a_service_manager_notice_each_other(test: Processes, receiv
     assert len(sent) == 4, "each is sent once"
 
 
-def test_under_the_supervisor_both_are_noticed_and_started_again(
-    test: Processes, receiver: HttpReceiver
-) -> None:
+def test_under_the_supervisor_both_are_noticed_and_started_again(test, receiver):
     test.start("run", "--port", "0")
     until(lambda: test.has_sets() and test.web(), "the first set and a web service")
     stalled = test.web()
@@ -170,9 +165,7 @@ def test_under_the_supervisor_both_are_noticed_and_started_again(
     assert test.alarm(RECORDER) == "returned_unacknowledged"
 
 
-def test_without_a_web_service_the_supervisor_watches_and_sends(
-    test: Processes, receiver: HttpReceiver
-) -> None:
+def test_without_a_web_service_the_supervisor_watches_and_sends(test, receiver):
     test.breaks.touch()
     test.start("run", "--no-web")
     assert news(receiver) == [(RECORDER, "raised")]

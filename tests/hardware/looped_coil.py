@@ -30,6 +30,6 @@ class Loopback:
     connection: Connection
     board: Board
 
-    def at_level(self, level_v: float) -> DaqmxParameters:
+    def at_level(self, level_v):
         """Return the same settings with another trigger level."""
         return replace(self.parameters, trigger_level_v=level_v)

@@ -16,6 +16,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, precondition, rule
+from support.machine import clock_in_seconds
 from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
@@ -337,7 +338,7 @@ class Supervision(RuleBasedStateMachine):
             self.folder,
             lambda: world.start(parameters),  # type: ignore[arg-type,return-value]
             supply_port=parameters.line.port,
-            mono_s=world.mono_s,
+            machine=clock_in_seconds(world.mono_s),
             kill=world.kill,
         )
         self.recorder.take_over(DriveState())
@@ -356,11 +357,14 @@ class Supervision(RuleBasedStateMachine):
             self.folder,
             lambda: world.start(parameters),  # type: ignore[arg-type,return-value]
             watches=False,
-            mono_s=world.mono_s,
+            machine=clock_in_seconds(world.mono_s),
             kill=world.kill,
         )
         self.supervisor = DriveGuard(
-            self.folder, self.guarding, check_every_s=PLAIN.unwatched_s, mono_s=world.mono_s
+            self.folder,
+            self.guarding,
+            check_every_s=PLAIN.unwatched_s,
+            machine=clock_in_seconds(world.mono_s),
         )
 
 

@@ -10,11 +10,10 @@ from typing import Any
 import httpx
 
 from daq_service.settings.tree import Settings
-from daq_service.web.answers.vocabulary import EXAMPLES
+from daq_service.web.answers.vocabulary import VOCABULARY, look_up
 from daq_service.web.app import create_app
 from daq_service.web.auth.tokens import create_token
 from daq_service.web.multi_test.app import create_app_of_many
-from daq_service.web.routes.description import look_up
 from support.filled_folder import FilledFolder
 from support.served_web import served_app
 
@@ -52,11 +51,11 @@ def asked(client: httpx.Client, path: str, method: str, operation: dict[str, Any
     name = operation["operationId"]
     if name in BY_HAND:
         return {"status": "200", "answer": BY_HAND[name][1], "media_type": BY_HAND[name][0]}
-    place = re.sub(r"\{(\w+)\}", lambda part: str(look_up(EXAMPLES, name, part[1])), path)
+    place = re.sub(r"\{(\w+)\}", lambda part: str(look_up(VOCABULARY.examples, name, part[1])), path)
     asked_for = {
-        part["name"]: look_up(EXAMPLES, name, part["name"])
+        part["name"]: look_up(VOCABULARY.examples, name, part["name"])
         for part in operation.get("parameters", ())
-        if part["in"] == "query" and (part["required"] or f"{name}.{part['name']}" in EXAMPLES)
+        if part["in"] == "query" and (part["required"] or f"{name}.{part['name']}" in VOCABULARY.examples)
     }
     body = BODIES.get(name)
     answer = client.request(method, place, params=asked_for, json=body)

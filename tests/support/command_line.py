@@ -14,6 +14,9 @@ import click
 
 from daq_service.cli.main import cli, main
 
+SOLIMON = (sys.executable, "-m", "daq_service.cli")
+"""The command ``solimon`` of this interpreter, for a process of its own."""
+
 
 def command_of(name: str) -> click.Command:
     """Return a command of ``solimon`` with its options."""

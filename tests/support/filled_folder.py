@@ -15,7 +15,8 @@ import numpy as np
 from analysis.assessment.confirmation import STEP
 from analysis.waves.features import FEATURE_NAMES, extract_features
 from daq_service.acquisition.schedule import plan, unscheduled_set
-from daq_service.alarms.states import Change, Moment, acknowledge, reset, shelve
+from daq_service.alarms.operator_actions import acknowledge, reset, shelve
+from daq_service.alarms.states import Change, Moment
 from daq_service.archive import PositionRecord, SetRecord
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED, Confirmation
 from daq_service.assessment.transaction import Transaction, shot_row
@@ -31,9 +32,9 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     SetRow,
     ThicknessRow,
-    payload_of,
     values,
 )
+from daq_service.catalogue.writer import payload_of
 from daq_service.clock import TimeLine, parse_utc
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
@@ -420,7 +421,7 @@ class FilledFolder:
         )
         self.catalogue.commit_set(SetCommit(sets=[row], events=[event]))
 
-    def reinstate(self, position: str) -> None:
+    def enable(self, position: str) -> None:
         """Reset the alarm that disabled a transducer, as the recorder does."""
         alarms = self.catalogue.rows(AlarmRow, position=position, active=True)
         (row,) = [alarm for alarm in alarms if alarm.kind == "transducer_disabled"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from daq_service.clock import Before, WallClock
+from daq_service.clock import Before, MachineClock, WallClock
 
 NS_PER_S = 1_000_000_000
 NS_PER_H = 3600 * NS_PER_S
@@ -50,11 +50,20 @@ class Machine:
 
     def clock(self, before: Before | None = None) -> WallClock:
         """Return the clock of a recorder that starts on this machine."""
-        return WallClock(
-            before,
-            system_ns=lambda: self.utc_ns,
+        return WallClock(before, machine=self.machine_clock())
+
+    def machine_clock(self) -> MachineClock:
+        """Return the clocks of this machine."""
+        return MachineClock(
+            mono_ns=lambda: self.elapsed_ns,
             elapsed_ns=lambda: self.elapsed_ns,
-            synchronised=lambda: self.synchronised,
-            boot=lambda: self.boot,
+            utc_ns=lambda: self.utc_ns,
+            boot_name=lambda: self.boot,
+            is_synchronised=lambda: self.synchronised,
             sleep=self.sleep,
         )
+
+
+def clock_in_seconds(mono_s: Callable[[], float]) -> MachineClock:
+    """Return clocks of a machine whose monotonic time a test sets in s."""
+    return MachineClock(mono_ns=lambda: round(mono_s() * NS_PER_S))

@@ -28,7 +28,7 @@ from daq_service import shared_file
 from daq_service.archive.records import set_reference
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
-from daq_service.catalogue import connection, open_catalogue
+from daq_service.catalogue import open_catalogue, stored_rows
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.clock import WallClock, parse_utc
 from daq_service.commands.execution import CommandExecutor
@@ -115,7 +115,7 @@ def injected(clock: Time) -> Iterator[None]:
         stack.enter_context(patch.object(time, "monotonic", clock.s))
         stack.enter_context(patch.object(time, "monotonic_ns", clock.ns))
         stack.enter_context(patch.object(session, "elapsed_ns", clock.ns))
-        stack.enter_context(patch.object(connection, "BUSY_TIMEOUT_S", 0.01))
+        stack.enter_context(patch.object(stored_rows, "BUSY_TIMEOUT_S", 0.01))
         yield
 
 

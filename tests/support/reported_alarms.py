@@ -6,9 +6,11 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from daq_service.alarms.states import Condition, Moment, reset, update
+from daq_service.alarms.operator_actions import reset
+from daq_service.alarms.states import Condition, Moment, update
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
+from daq_service.catalogue.rows import AlarmRow, EventRow
+from daq_service.catalogue.writer import payload_of
 from daq_service.processes.notifications.delivery_log import DeliveryLog
 from daq_service.processes.notifications.messages import Message
 from daq_service.processes.notifications.receiver import ReceiverQueue

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import tempfile
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields, replace
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +29,7 @@ from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Acquired, Clock, Rig
 from hardware_drivers.measurement import ShotKey
+from support.empty_catalogue import empty_catalogue
 
 SMALL: dict[str, Any] = {
     "schedule": {
@@ -43,8 +42,6 @@ SMALL: dict[str, Any] = {
     "alarms": {"hole_shots": 2},
 }
 SETS = 24
-BASELINE_SETS = 18
-
 RigOpener = Callable[[Settings, Clock, int], AbstractContextManager[Rig]]
 
 
@@ -80,7 +77,7 @@ def run(
     host = {"worker": AtOnce, **{name: options.pop(name) for name in named & options.keys()}}
     prepare_data_folder(folder)
     if not (folder / FILE_NAME).exists():
-        (folder / FILE_NAME).write_bytes(_empty_catalogue())
+        (folder / FILE_NAME).write_bytes(empty_catalogue())
     with own_data_folder(folder):
         return record(
             settings,
@@ -91,15 +88,6 @@ def run(
             options=SessionOptions(restart_reason=restart_reason, **options),
             host=Host(**host),
         )
-
-
-@cache
-def _empty_catalogue() -> bytes:
-    """Return an empty catalogue, made once: migrations take a fifth of a second."""
-    with tempfile.TemporaryDirectory() as folder:
-        with open_catalogue(Path(folder), writer=True):
-            pass
-        return (Path(folder) / FILE_NAME).read_bytes()
 
 
 def rows_of(folder: Path) -> dict[str, Sequence[Any]]:

@@ -17,6 +17,8 @@ WAIT_S = 120.0
 """Deadline of what takes seconds at most: reached on a machine that hangs, not on one that is busy."""
 FIRST_PAUSE_S, LONGEST_PAUSE_S = 0.001, 0.05
 """Pauses double: what is asked for may cost as much as what is waited for."""
+PAUSE_PER_QUESTION = 9.0
+"""A pause lasts at least so many times as long as its question computed: asking takes a tenth of a core."""
 
 T = TypeVar("T")
 
@@ -38,10 +40,12 @@ def until(found: Callable[[], T | None], what: str) -> T:
     """Poll until the result is something other than None, False or empty."""
     deadline_s = time.monotonic() + WAIT_S
     pause, pause_s = threading.Event(), FIRST_PAUSE_S
+    asked_s = time.thread_time()
     while not (answer := found()):
         if time.monotonic() > deadline_s:
             raise MachineTooSlowError(what)
-        pause.wait(pause_s)
+        pause.wait(max(pause_s, PAUSE_PER_QUESTION * (time.thread_time() - asked_s)))
+        asked_s = time.thread_time()
         pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
     return answer
 

@@ -20,21 +20,21 @@ WEAR = {"onset_h": 220.0, "ramp_h": 90.0, "radius_growth_fraction": 0.3}
 WORN = {"thinning": {}, "faults": {"D": {"bead_wear": WEAR}}}
 
 
-def benchmark(*arguments: str) -> list[dict[str, Any]]:
+def benchmark(*arguments):
     command = [sys.executable, str(SCRIPT), "--models", "dashpots", "--levels", "laboratory", "--json"]
     done = subprocess.run([*command, *arguments], capture_output=True, text=True, check=True)
     runs: list[dict[str, Any]] = json.loads(done.stdout)["runs"]
     return runs
 
 
-def test_a_thinning_wall_is_diagnosed_before_f_alarms_and_as_nothing_else() -> None:
+def test_a_thinning_wall_is_diagnosed_before_f_alarms_and_as_nothing_else():
     (run,) = benchmark("--only", "corrosion", "--runs", "1")
     assert run["first_wall_depth"] <= run["first_f_depth"]
     assert run["called"].keys() <= {"ok", "wall", "undetermined"}
 
 
 @pytest.mark.slow
-def test_healthy_runs_re_seats_and_faulty_sensors_are_not_diagnosed_as_walls() -> None:
+def test_healthy_runs_re_seats_and_faulty_sensors_are_not_diagnosed_as_walls():
     cases = "healthy,re-seat,gain step,tilt,bead wear,striker"
     runs = benchmark("--only", cases, "--runs", "5")
     assert len(runs) == 30
@@ -45,9 +45,7 @@ def test_healthy_runs_re_seats_and_faulty_sensors_are_not_diagnosed_as_walls() -
 @pytest.mark.parametrize(
     ("twin", "named", "never"), [(CORROSION, "wall", {"sensor", "coupling"}), (WORN, "sensor", {"wall"})]
 )
-def test_real_shots_separate_a_wall_change_from_worn_spheres(
-    twin: dict[str, Any], named: str, never: set[str]
-) -> None:
+def test_real_shots_separate_a_wall_change_from_worn_spheres(twin, named, never):
     schedule = {"phases": [{"until_h": END_H, "interval_h": 1.0}], "end_h": END_H}
     settings = load_settings(
         None,

@@ -12,12 +12,13 @@ from typing import Protocol
 
 import numpy as np
 
+from analysis.statistics.levels import FACTOR, finer_blocks, sets_per_step
 from daq_service.archive.errors import ArchiveError
 from daq_service.archive.protocol import SetReader
 from daq_service.archive.records import SetReference
 from daq_service.archive.waterfall.cells import Alignment, Frame, Planes, coarsen, empty_planes, planes_of_set
 from daq_service.archive.waterfall.tile_files import row_of, tiles_of
-from daq_service.archive.waterfall.tiles import FACTOR, LEVELS, TileRow, Tiles, join_rows
+from daq_service.archive.waterfall.tiles import WIDTHS, TileRow, Tiles, join_rows
 
 log = logging.getLogger(__name__)
 
@@ -142,14 +143,12 @@ class WaterfallReader:
         reference
             Planes that are subtracted from each set before extremes are taken over sets and times: `mean`.
         """
-        row_sets = 1
-        while wanted.last // row_sets - wanted.first // row_sets >= wanted.rows:
-            row_sets *= 2
+        row_sets = sets_per_step(wanted.first, wanted.last, wanted.rows)
         frame = _columns_of(tiles.frame, wanted, may_be_finer=reference is None and row_sets == 1)
         reading = _Reading(self, _with_frame(tiles, frame), index)
-        level = min((row_sets.bit_length() - 1) // 2, LEVELS - 1)
+        width = max(width for width in WIDTHS if width <= row_sets)
         rows_by_number: dict[int, list[TileRow]] = {}
-        for row in reading.rows(level, wanted.first // FACTOR**level, wanted.last // FACTOR**level):
+        for row in reading.rows(width, range(wanted.first // width, wanted.last // width + 1)):
             rows_by_number.setdefault(row.first_set // row_sets, []).append(row)
         rows = [join_rows(rows_by_number[number]) for number in sorted(rows_by_number)]
         offset = np.float32(0.0) if reference is None else reference
@@ -170,7 +169,7 @@ class WaterfallReader:
     def mean(self, tiles: Tiles, index: Index, sets: Collection[int]) -> tuple[Planes, int, int]:
         """Return the mean extremes of each cell over sets, the number of sets, and the number pending."""
         reading = _Reading(self, tiles, index)
-        rows = [row.planes for set_index in sets for row in reading.rows(0, set_index, set_index)]
+        rows = [row.planes for set_index in sets for row in reading.rows(1, range(set_index, set_index + 1))]
         stacked = np.stack(rows or [empty_planes(tiles.frame)])
         is_finite = np.isfinite(stacked)
         total = np.where(is_finite, stacked, np.float32(0.0)).sum(axis=0, dtype=np.float64)
@@ -214,28 +213,27 @@ class _Reading:
         self._left = SETS_AT_ONCE
         self.pending, self.unreadable = 0, list[int]()
 
-    def rows(self, level: int, first: int, last: int) -> list[TileRow]:
+    def rows(self, width: int, numbers: range) -> list[TileRow]:
         """Return the complete rows of a level: with all stored sets, as far as these could be read."""
-        tile_rows = dict(self.tiles.rows(level, first, last))
-        rows = (self._row(level, number, tile_rows.get(number)) for number in range(first, last + 1))
+        tile_rows = dict(self.tiles.rows(width, numbers))
+        rows = (self._row(width, number, tile_rows.get(number)) for number in numbers)
         return [row for row in rows if row is not None]
 
-    def _row(self, level: int, number: int, tile_row: TileRow | None) -> TileRow | None:
+    def _row(self, width: int, number: int, tile_row: TileRow | None) -> TileRow | None:
         """Return a row from its tile, or from the rows of the next finer level."""
-        size = FACTOR**level
-        if tile_row is not None and tile_row.n_sets == size:
+        if tile_row is not None and tile_row.n_sets == width:
             return tile_row
-        n_stored = self._index.n_stored(number * size, (number + 1) * size - 1)
+        n_stored = self._index.n_stored(number * width, (number + 1) * width - 1)
         if tile_row is not None and tile_row.n_sets == n_stored:
             return tile_row
         if n_stored == 0:
             return None
-        if level == 0:
+        if width == 1:
             return self._row_of_set(number)
         if self._left == 0:
             self.pending += n_stored
             return None
-        finer_rows = self.rows(level - 1, number * FACTOR, number * FACTOR + FACTOR - 1)
+        finer_rows = self.rows(width // FACTOR, finer_blocks(number))
         return join_rows(finer_rows) if finer_rows else None
 
     def _row_of_set(self, set_index: int) -> TileRow | None:

@@ -1,4 +1,4 @@
-"""Read and write cached waterfall rows in tile files, in levels of 1, 4, 16, ... sets per row.
+"""Read and write cached waterfall rows in tile files, in levels of 1, 4, 16, ... sets per row (the width).
 
 ``tiles/{position}/{alignment}/{sets of a row}-{number}.tile`` holds 64 rows in slots of one size after a
 header with experiment, position and frame. Each slot has a CRC-32 and its number of sets. A reader skips rows
@@ -16,19 +16,20 @@ import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
+from analysis.statistics.levels import FACTOR, finer_blocks, level_widths
 from daq_service.archive.waterfall.cells import Alignment, Frame, Planes, merge_planes
 
 log = logging.getLogger(__name__)
 
 TILES_FOLDER = "tiles"
 ROWS_OF_A_TILE = 64
-FACTOR = 4
-LEVELS = 7
-"""The coarsest row has 4,096 sets: a million sets are 245 rows."""
+WIDTHS = level_widths(1, 4096)
+"""Sets per row at each level; at the coarsest one a million sets are 245 rows."""
 FORMAT = 1
 _HEADER_BYTES = 512
 _FACTS = struct.Struct("<IIqqqdd16x")
@@ -85,35 +86,34 @@ class Tiles:
     alignment: Alignment
     frame: Frame
 
-    def rows(self, level: int, first: int, last: int) -> Iterator[tuple[int, TileRow]]:
-        """Read the sound rows of a level with indices from ``first`` to ``last``."""
-        for tile in range(first // ROWS_OF_A_TILE, last // ROWS_OF_A_TILE + 1):
-            start = max(first, tile * ROWS_OF_A_TILE)
-            end = min(last + 1, (tile + 1) * ROWS_OF_A_TILE)
-            yield from self._sound_rows(level, start, self._read(level, tile, start, end))
+    def rows(self, width: int, numbers: range) -> Iterator[tuple[int, TileRow]]:
+        """Read the sound rows of a level with consecutive numbers."""
+        for tile in sorted({number // ROWS_OF_A_TILE for number in numbers}):
+            start = max(numbers.start, tile * ROWS_OF_A_TILE)
+            end = min(numbers.stop, (tile + 1) * ROWS_OF_A_TILE)
+            yield from self._sound_rows(width, start, self._read(width, tile, start, end))
 
-    def _sound_rows(self, level: int, start: int, content: memoryview) -> Iterator[tuple[int, TileRow]]:
+    def _sound_rows(self, width: int, start: int, content: memoryview) -> Iterator[tuple[int, TileRow]]:
         """Return the sound rows in the bytes of slots from ``start`` on."""
         for offset in range(0, len(content), self._slot_bytes):
             number = start + offset // self._slot_bytes
             row = self._row(content[offset : offset + self._slot_bytes])
-            if row is not None and row.first_set // FACTOR**level == number:
+            if row is not None and row.first_set // width == number:
                 yield number, row
 
-    def row(self, level: int, number: int) -> TileRow | None:
+    def row(self, width: int, number: int) -> TileRow | None:
         """Read one row; None if there is no sound one."""
-        return next((row for _, row in self.rows(level, number, number)), None)
+        return next((row for _, row in self.rows(width, range(number, number + 1))), None)
 
     def has_set(self, set_index: int) -> bool:
         """Return whether a set has its row, and all coarser rows count the sets of their four finer ones."""
-        row = self.row(0, set_index)
-        for level in range(1, LEVELS):
+        row = self.row(1, set_index)
+        for finer_width, width in pairwise(WIDTHS):
             if row is None:
                 return False
-            number = set_index // FACTOR**level
-            rows_below = self.rows(level - 1, number * FACTOR, number * FACTOR + FACTOR - 1)
-            n_below = sum(finer.n_sets for _, finer in rows_below)
-            row = self.row(level, number)
+            number = set_index // width
+            n_below = sum(finer.n_sets for _, finer in self.rows(finer_width, finer_blocks(number)))
+            row = self.row(width, number)
             if row is not None and row.n_sets != n_below:
                 return False
         return row is not None
@@ -131,12 +131,12 @@ class Tiles:
         OSError
             The disk refuses; written rows are sound, and the number of sets shows incomplete ones.
         """
-        for level in range(LEVELS):
-            number = row.first_set // FACTOR**level
-            neighbors = self._write(level, number, row)
+        for width in WIDTHS:
+            number = row.first_set // width
+            neighbors = self._write(width, number, row)
             if complete_blocks_only and number % FACTOR != FACTOR - 1:
                 return
-            finer_rows = dict(self._sound_rows(level, number - number % FACTOR, neighbors)) | {number: row}
+            finer_rows = dict(self._sound_rows(width, number - number % FACTOR, neighbors)) | {number: row}
             row = join_rows([finer_rows[index] for index in sorted(finer_rows)])
 
     # Files ----------------------------------------------------------------------------------------
@@ -146,13 +146,13 @@ class Tiles:
         """Size of a row's slot in bytes."""
         return slot_bytes(self.frame.n_cells)
 
-    def _path(self, level: int, tile: int) -> Path:
+    def _path(self, width: int, tile: int) -> Path:
         """Return the path of a tile."""
-        return self.folder / TILES_FOLDER / self.position / self.alignment / _tile_name(level, tile)
+        return self.folder / TILES_FOLDER / self.position / self.alignment / _tile_name(width, tile)
 
-    def _read(self, level: int, tile: int, start: int, end: int) -> memoryview:
+    def _read(self, width: int, tile: int, start: int, end: int) -> memoryview:
         """Return the bytes of slots, as many as exist; none of an invalid tile."""
-        path = self._path(level, tile)
+        path = self._path(width, tile)
         try:
             with path.open("rb") as file:
                 if file.read(_HEADER_BYTES) != _header(self):
@@ -185,12 +185,12 @@ class Tiles:
             planes=np.frombuffer(slot, "<f4", offset=_FACTS.size).reshape(2, -1),
         )
 
-    def _write(self, level: int, number: int, row: TileRow) -> memoryview:
+    def _write(self, width: int, number: int, row: TileRow) -> memoryview:
         """Write a row, with a new tile if necessary; return the slots to join with it, as they were."""
         facts = (0, 0, row.n_sets, row.first_set, row.last_set, row.first_h, row.last_h)
         slot = bytearray(_FACTS.pack(*facts) + row.planes.astype("<f4").tobytes())
         struct.pack_into("<I", slot, 0, zlib.crc32(memoryview(slot)[4:]))
-        path = self._path(level, number // ROWS_OF_A_TILE)
+        path = self._path(width, number // ROWS_OF_A_TILE)
         if not path.parent.is_dir():
             path.parent.mkdir(parents=True, exist_ok=True)
         with path.open("r+b" if path.exists() else "x+b") as file:
@@ -206,9 +206,9 @@ class Tiles:
         return memoryview(neighbors)
 
 
-def _tile_name(level: int, tile: int) -> str:
+def _tile_name(width: int, tile: int) -> str:
     """Return the file name of a tile."""
-    return f"{FACTOR**level:04d}-{tile:06d}.tile"
+    return f"{width:04d}-{tile:06d}.tile"
 
 
 @lru_cache(maxsize=64)
@@ -231,14 +231,14 @@ def slot_bytes(n_cells: int) -> int:
 
 def planned_bytes(n_cells: int, n_sets: int) -> int:
     """Return the size in bytes of the tiles of a position at one alignment after so many sets."""
-    rows = [math.ceil(n_sets / FACTOR**level) for level in range(LEVELS)]
+    rows = [math.ceil(n_sets / width) for width in WIDTHS]
     return sum(math.ceil(n / ROWS_OF_A_TILE) * _HEADER_BYTES + n * slot_bytes(n_cells) for n in rows)
 
 
 def kept_cells(folder: Path) -> list[int]:
     """Return the number of cells per row of each position and alignment with tiles; skip unreadable ones."""
     n_cells = []
-    for path in (folder / TILES_FOLDER).glob(f"*/*/{_tile_name(0, 0)}"):
+    for path in (folder / TILES_FOLDER).glob(f"*/*/{_tile_name(1, 0)}"):
         try:
             with path.open("rb") as file:
                 n_cells.append(int(json.loads(file.read(_HEADER_BYTES))["n_cells"]))

@@ -6,12 +6,11 @@ from pathlib import Path
 
 from sqlalchemy import Engine, insert, text
 
-from daq_service.catalogue.connection import writing
 from daq_service.catalogue.errors import SchemaVersionError
-from daq_service.catalogue.rollups import rebuild_trends
-from daq_service.catalogue.row_checksum import seal_unsealed, storable
 from daq_service.catalogue.rows import CountsRow
+from daq_service.catalogue.stored_rows import seal_unsealed, storable, writing
 from daq_service.catalogue.tables import counts, metadata
+from daq_service.catalogue.trends import rebuild_trends
 
 SCHEMA_REVISION = max(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
 """The newest revision in ``versions``: what this version of solimon reads and writes. Numbers of four

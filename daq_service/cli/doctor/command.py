@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import json
-import math
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import click
+import orjson
 
 from daq_service.cli.doctor.check import Check, check_of_finding, exit_code, failure
 from daq_service.cli.doctor.machine import machine_checks
@@ -36,7 +34,7 @@ KNOWN_AS = {"daqmx": "boards", "niscope": "ultrasonic probes", "climate": "clima
 def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None, as_json: bool) -> int:
     """Run the command and return its exit code."""
     settings = load_settings(config)
-    folder = data_folder(settings, config, data_dir)
+    folder = data_folder(settings.storage, config, data_dir)
     if strike is not None:
         require_position(settings, strike)
     owner = owner_of(folder)
@@ -57,7 +55,8 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
         checks += trial.checks
     code = exit_code(checks)
     if as_json:
-        click.echo(json.dumps(_plain(_report(settings, folder, checks, trial, code)), allow_nan=False))
+        report = _report(settings, folder, checks, trial, code)
+        click.echo(orjson.dumps(report, option=orjson.OPT_SERIALIZE_NUMPY))  # it writes NaN as null
     else:
         _print_table(checks, trial)
     return code
@@ -182,7 +181,7 @@ def _print_table(checks: list[Check], trial: Trial | None) -> None:
 
 def _report(
     settings: Settings, folder: Path, checks: list[Check], trial: Trial | None, code: int
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return the results for JSON."""
     return {
         "configuration_hash": settings.configuration_hash(),
@@ -192,14 +191,3 @@ def _report(
         "checks": [asdict(check) for check in checks],
         "strike": None if trial is None else trial.as_row(),
     }
-
-
-def _plain(value: object) -> object:
-    """Replace NaN and infinities by None for JSON."""
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    if isinstance(value, dict):
-        return {key: _plain(below) for key, below in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(below) for below in value]
-    return value

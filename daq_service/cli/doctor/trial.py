@@ -13,8 +13,8 @@ import click
 from analysis.waves.coil_spike import FITTING_LEVEL, SpikeSurvey
 from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.schedule import DueSet
+from daq_service.acquisition.shot_features import features_of
 from daq_service.acquisition.take_set import MissedShot, SetPlan, take_set
-from daq_service.acquisition.taken_set import features_of
 from daq_service.cli.doctor.check import Check, failure
 from daq_service.cli.doctor.spike import spike_check
 from daq_service.clock import SimulatedClock, WallClock, boot_id, parse_utc

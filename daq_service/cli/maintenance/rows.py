@@ -5,9 +5,9 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
-from daq_service.acquisition.taken_set import n_missed, n_restrikes
+from daq_service.acquisition.take_set import n_missed, n_restrikes
 from daq_service.archive import SetRecord, SetReference
 from daq_service.assessment.results_in_file import find_differences as results_differ
 from daq_service.assessment.results_in_file import results_of
@@ -15,6 +15,7 @@ from daq_service.assessment.transaction import shot_row
 from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, ThicknessRow, values
 from hardware_drivers.methods import PULSE_ECHO
 
+R = TypeVar("R", bound=Row)
 Found = Mapping[str, Any]
 """A row of the catalogue: column to value."""
 _ASSESSED_COLUMNS = ("valid", "flags")
@@ -67,30 +68,27 @@ def differing(
                 "n_restrikes": n_restrikes(record, position.position),
                 "file": file if taken else None,
             }
-            yield from ((None, difference) for difference in _differences(where, row, wanted))
-        yield from (
-            (None, f"{where}: {difference}")
-            for difference in _results(rows, position.position, position.method)
-        )
+            for difference in _differences(where, row, wanted):
+                yield None, difference
+        for difference in _results(rows, position.position, position.method):
+            yield None, f"{where}: {difference}"
     for name, row in of_position.items():
         if row["n_taken"] or row["file"] is not None:
             yield None, f"sets, set {record.set_key} of {name}: the file has no such position"
     yield from _shots(rows.shots, record, lost)
     if record.results and not lost:
         copy = results_of(
-            [FeatureRow(**_known(FeatureRow, row)) for row in rows.features],
-            [ThicknessRow(**_known(ThicknessRow, row)) for row in rows.thickness],
-            [ShotRow(**{**_known(ShotRow, row), "flags": _flags(row)}) for row in rows.shots],
+            [_as_row(FeatureRow, row) for row in rows.features],
+            [_as_row(ThicknessRow, row) for row in rows.thickness],
+            [_as_row(ShotRow, {**row, "flags": _flags(row)}) for row in rows.shots],
         )
-        yield from (
-            (None, f"set {record.set_key}, {difference}")
-            for difference in results_differ(record.results, copy)
-        )
+        for difference in results_differ(record.results, copy):
+            yield None, f"set {record.set_key}, {difference}"
 
 
-def _known(kind: type[Row], row: Found) -> dict[str, Any]:
-    """Return the columns that a kind of row has."""
-    return {name: row[name] for name in kind.__slots__ if name in row}
+def _as_row(kind: type[R], row: Found) -> R:
+    """Return a row of today's kind."""
+    return kind(**{name: row[name] for name in kind.__slots__ if name in row})
 
 
 def _flags(row: Found) -> list[str]:
@@ -121,8 +119,7 @@ def _shots(
 
 
 def _differences(where: str, row: Found, wanted: Found) -> Iterator[str]:
-    # An earlier revision lacks columns.
-    """Yield the differing columns of a row."""
+    """Yield the differing columns of a row; an earlier revision lacks columns."""
     for name in wanted.keys() & row.keys():
         if row[name] != wanted[name]:
             yield f"{where}: {name} is {row[name]!r}, in the file {wanted[name]!r}"

@@ -7,10 +7,11 @@ moves from the journal to a file and never back.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Literal
 
 from daq_service.archive import SetNotFoundError, SetRecord, SetReference
 from daq_service.archive.errors import BACK
@@ -40,22 +41,50 @@ from daq_service.shared_file import read_shared
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
-KINDS = {
-    "set_missing": "rows point at a set that is neither a file nor in the journal",
-    "set_unreadable": "a set's file cannot be read as a whole",
-    "set_touched": "a set's file is not the one that was written: its SHA-256 differs",
-    "shot": "a record of a set does not match its checksums",
-    "metadata": "another part of a set's file is damaged or contradicts the rest",
-    "frame": "a frame of the journal is damaged",
-    "file_without_rows": "a set has no rows, though later ones do",
-    "row": "a row differs from what was stored or from what the set's file says, or is missing",
-    "catalogue": "SQLite finds the catalogue damaged, or it is gone",
-    "experiment": "experiment.json is damaged, or tells of another experiment than the catalogue",
-    "history": "lines of history.jsonl are damaged or missing",
-    "audit": "lines of audit.jsonl are damaged or missing",
-    "notifications": "lines of notifications.jsonl are damaged or missing",
-}
-"""Kinds of damage."""
+DamageKind = Literal[
+    "set_missing",
+    "set_unreadable",
+    "set_touched",
+    "shot",
+    "metadata",
+    "frame",
+    "file_without_rows",
+    "row",
+    "catalogue",
+    "experiment",
+    "history",
+    "audit",
+    "notifications",
+]
+"""Kinds of corruption.
+
+set_missing
+    rows point at a set that is neither a file nor in the journal
+set_unreadable
+    a set's file cannot be read as a whole
+set_touched
+    a set's file is not the one that was written: its SHA-256 differs
+shot
+    a record of a set does not match its checksums
+metadata
+    another part of a set's file is corrupt or contradicts the rest
+frame
+    a frame of the journal is corrupt
+file_without_rows
+    a set has no rows, though later ones do
+row
+    a row differs from what was stored or from what the set's file says, or is missing
+catalogue
+    SQLite finds the catalogue corrupt, or it is gone
+experiment
+    experiment.json is corrupt, or is of another experiment than the catalogue
+history
+    lines of history.jsonl are corrupt or missing
+audit
+    lines of audit.jsonl are corrupt or missing
+notifications
+    lines of notifications.jsonl are corrupt or missing
+"""
 
 TABLES = ("sets", "shots", "features", "assessments", "thickness")
 """Whose rows belong to a position and a set."""
@@ -63,11 +92,11 @@ MOST_BEHIND_S = 60.0
 """A history with a longer delay was truncated or not written: it normally follows within a second."""
 NOWHERE = "rows point at it, but it is neither a file nor in the journal"
 MADE_AGAIN = "solimon rebuild makes rows again from the files"
-LOGS = {
+LOGS: Mapping[DamageKind, tuple[str, str]] = {
     "audit": (AUDIT_FILE, "nothing else knows who did what: keep it, and look at a backup"),
     "notifications": (
         LOG_FILE,
-        "who was told what is known by the receivers alone now, and a message may go out once more: keep it",
+        "only the receivers know what was sent now, and a message may be repeated: keep it",
     ),
 }
 """By the kind of damage: a file of numbered lines, and what to do about one that is damaged."""
@@ -79,8 +108,6 @@ class Finding:
 
     Attributes
     ----------
-    kind
-        One of `KINDS`.
     file
         Relative to the data folder.
     description
@@ -89,7 +116,7 @@ class Finding:
         `shots.sequence`; None where it is no shot's.
     """
 
-    kind: str
+    kind: DamageKind
     file: str
     description: str
     shot_id: int | None = None
@@ -253,7 +280,9 @@ def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) ->
         description = f"its SHA-256 is not that of the file that was written; {BACK}"
         yield Finding("set_touched", reference, description)
     for damage in found.damages:
-        kind = "set_unreadable" if found.record is None else "metadata" if damage.sequence is None else "shot"
+        kind: DamageKind = (
+            "set_unreadable" if found.record is None else "metadata" if damage.sequence is None else "shot"
+        )
         yield Finding(kind, reference, f"{damage}; {BACK}", damage.sequence)
     if found.record is not None:
         state.checked["shots"] += len(found.record.records)

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 from daq_service.acquisition.schedule import DueSet, plan
-from daq_service.acquisition.taken_set import features_of_all
+from daq_service.acquisition.shot_features import features_of_all
 from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.baseline_lifecycle import baseline_range
 from daq_service.assessment.solitary_wave import SolitaryWaveAssessor

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from matplotlib.axes import Axes
 
 from daq_service.cli.reproduce import item, style
-from daq_service.cli.reproduce.evidence import Evidence, FloatArray, PulseEchoes, SolitaryWaves
+from daq_service.cli.reproduce.evidence import Evidence, FloatArray, Series
 from daq_service.cli.reproduce.paper_values import printed
 
 SPLIT_H = 100.0
@@ -21,82 +19,68 @@ READ_WITHIN_H = 5.0
 """Readings this near are averaged (median): one reading has some hundredths of a millimetre of noise."""
 
 
+# Figure 14 --------------------------------------------------------------------------------------
+
+
 def draw_fig14(material: item.Material) -> item.Product:
     """Draw the Mahalanobis squared distance over the test."""
     test, names = material.test, material.transducers
+    baseline_h = test.settings.baseline.hours
     if all(test.pulses[name].baseline is None for name in names):
         raise item.NotAvailableError(
-            f"no baseline was frozen up to hour {test.last_h:g}; it takes the first {test.baseline_h:g} h"
-            if test.baseline_h is not None
-            else f"no baseline was frozen up to hour {test.last_h:g}"
+            f"no baseline was frozen up to hour {test.last_h:g}; it takes the first {baseline_h:g} h"
         )
-    figure, axes = style.sheet(1, len(names), height_in=3.6, sharex=True, sharey=True)
+    figure, axes = style.panels_of_positions(names, "Mahalanobis squared distance (1)", height_in=3.6)
     for axis, name in zip(axes, names, strict=True):
-        _distances(axis, test.pulses[name], test.baseline_h, style.colour_of(name, names))
-    axes[0].set_ylabel("Mahalanobis squared distance (1)")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=4)
-    style.name_panels(axes, [f"position {name}" for name in names])
-
-    def columns(pulses: SolitaryWaves) -> dict[str, FloatArray]:
-        assessed = {
-            key: pulses.values[key] for key in ("distance_squared", "limit_f_predictive", "limit_mean_3sd")
-        }
-        return assessed | {
-            key: getattr(pulses, key) for key in ("in_baseline", "outlier", "outlier_mean_3sd")
-        }
-
+        _distances(axis, test.pulses[name], baseline_h, style.colour_of(name, names))
+    style.legend_below(figure, ncols=4)
+    columns = (
+        *("distance_squared", "limit_f_predictive", "limit_mean_3sd"),
+        *("in_baseline", "outlier", "outlier_mean_3sd"),
+    )
     return item.Product(
         drawing=figure,
-        tables={"": item.stacked(test, columns)},
+        tables={"": item.stacked(test, lambda pulses: {name: pulses.values[name] for name in columns})},
         found=_outliers(test),
         notes=tuple(
-            f"{name}: baseline of {p.baseline.n_sets} sets, {_share_text(p)}."
-            for name, p in test.pulses.items()
-            if p.baseline is not None
+            f"{name}: baseline of {pulses.baseline.n_sets} sets, {_share_text(pulses)}."
+            for name, pulses in test.pulses.items()
+            if pulses.baseline is not None
         ),
     )
 
 
-def _distances(axis: Axes, pulses: SolitaryWaves, baseline_h: float | None, colour: str) -> None:
+def _distances(axis: Axes, pulses: Series, baseline_h: float, colour: str) -> None:
     """Draw the distances of a position with its limits."""
-    distance = pulses.values["distance_squared"]
-    if baseline_h is not None:
-        axis.axvspan(0.0, baseline_h, color=style.GREEN, alpha=0.12, lw=0, label="baseline")
+    axis.axvspan(0.0, baseline_h, color=style.GREEN, alpha=0.12, lw=0, label="baseline")
     last_h = float(pulses.hour_h[-1]) if pulses.hour_h.size else 0.0
     if last_h > SPLIT_H:
         axis.axvspan(SPLIT_H, last_h, color=style.VERMILLION, alpha=0.08, lw=0, label="counted: after 100 h")
-    axis.plot(pulses.hour_h, distance, ".", color=colour, ms=2.5, label="our sets")
-    for column, dash, label in (
-        ("limit_mean_3sd", "--", "our mean + 3 SD"),
-        ("limit_f_predictive", "-", "exact limit (F)"),
-    ):
-        limit = _limit(pulses, column)
+    axis.plot(pulses.hour_h, pulses.values["distance_squared"], ".", color=colour, ms=2.5, label="our sets")
+    baseline = pulses.baseline
+    limits = () if baseline is None else (baseline.limit_mean_3sd, baseline.limit_f_predictive)
+    for limit, dash, label in zip(limits, ("--", "-"), ("our mean + 3 SD", "exact limit (F)"), strict=False):
         if limit is not None:
             axis.axhline(limit, color=style.BLACK, lw=1.0, ls=dash, label=label)
     if pulses.position in ("B", "C", "D"):
         for source, dash in (("text", ":"), ("caption", "-.")):
             value = printed("fig14", f"limit_{source}_{pulses.position}")
             axis.axhline(value, color=style.GREY, lw=1.2, ls=dash, label=f"paper's limit, {source}")
-    axis.set(xlabel="hour of the test (h)", yscale="log")
+    axis.set_yscale("log")
 
 
-def _limit(pulses: SolitaryWaves, column: str) -> float | None:
-    limit: float | None = None if pulses.baseline is None else getattr(pulses.baseline, column)
-    return limit
-
-
-def _share(pulses: SolitaryWaves, outlier: FloatArray, from_h: float) -> tuple[float | None, int]:
+def _share(pulses: Series, outlier: str, from_h: float) -> tuple[float | None, int]:
     """Return the percentage of outliers of the sets assessed after an hour, and their number."""
-    is_assessed = (pulses.hour_h > from_h) & np.isfinite(outlier) & (pulses.in_baseline == 0.0)
+    outliers = pulses.values[outlier]
+    is_assessed = (pulses.hour_h > from_h) & np.isfinite(outliers) & (pulses.values["in_baseline"] == 0.0)
     n = int(is_assessed.sum())
-    return (100.0 * float(outlier[is_assessed].mean()) if n else None), n
+    return (100.0 * float(outliers[is_assessed].mean()) if n else None), n
 
 
-def _share_text(pulses: SolitaryWaves) -> str:
+def _share_text(pulses: Series) -> str:
     """Describe the percentages of outliers."""
     parts = []
-    for limit, outlier in (("mean + 3 SD", pulses.outlier_mean_3sd), ("the exact limit", pulses.outlier)):
+    for limit, outlier in (("mean + 3 SD", "outlier_mean_3sd"), ("the exact limit", "outlier")):
         share, n = _share(pulses, outlier, SPLIT_H)
         parts.append(
             f"no set judged after {SPLIT_H:g} h" if share is None else f"{share:.1f} % of {n} by {limit}"
@@ -105,31 +89,33 @@ def _share_text(pulses: SolitaryWaves) -> str:
 
 
 def _outliers(test: Evidence) -> dict[str, item.Found]:
-    """Return our values of figure 14."""
-    values: dict[str, item.Found] = {}
+    """Return our values of figure 14, or why they are missing."""
+    values = {"smallest_loss": _smallest_loss(test)}
     for name in "BCD":
         pulses = test.pulses.get(name)
-        for key in ("limit_text", "limit_caption", "outliers_paper", "outliers_f"):
-            values[f"{key}_{name}"] = _one_outlier_value(test, pulses, name, key)
-    values["outliers_late_C"] = _one_outlier_value(test, test.pulses.get("C"), "C", "outliers_late")
-    values["smallest_loss"] = _smallest_loss(test)
+        baseline = None if pulses is None else pulses.baseline
+        if pulses is None or baseline is None:
+            why = (
+                f"the test has no solitary-wave position {name}"
+                if pulses is None
+                else f"no baseline was frozen at {name} up to hour {test.last_h:g}"
+            )
+            keys = ("limit_text", "limit_caption", "outliers_paper", "outliers_f", "outliers_late")
+            values |= {f"{key}_{name}": item.missing(why) for key in keys}
+            continue
+        for source in ("text", "caption"):
+            values[f"limit_{source}_{name}"] = item.found(
+                baseline.limit_mean_3sd, f"{baseline.n_sets} sets", reason=str(baseline.limit_reason)
+            )
+        for key, outlier, from_h in (
+            ("outliers_paper", "outlier_mean_3sd", SPLIT_H),
+            ("outliers_f", "outlier", SPLIT_H),
+            ("outliers_late", "outlier_mean_3sd", LATE_H),
+        ):
+            share, n = _share(pulses, outlier, from_h)
+            reason = f"no set was judged after hour {from_h:g} (last: {test.last_h:g})"
+            values[f"{key}_{name}"] = item.found(share, f"of {n} sets", reason=reason)
     return values
-
-
-def _one_outlier_value(test: Evidence, pulses: SolitaryWaves | None, name: str, key: str) -> item.Found:
-    """Return one of our values of figure 14, or why it is missing."""
-    if pulses is None:
-        return item.missing(f"the test has no solitary-wave position {name}")
-    if pulses.baseline is None:
-        return item.missing(f"no baseline was frozen at {name} up to hour {test.last_h:g}")
-    if key.startswith("limit"):
-        limit = _limit(pulses, "limit_mean_3sd")
-        return item.found(limit, f"{pulses.baseline.n_sets} sets", reason=str(pulses.baseline.limit_reason))
-    from_h = LATE_H if key == "outliers_late" else SPLIT_H
-    share, n = _share(pulses, pulses.outlier if key == "outliers_f" else pulses.outlier_mean_3sd, from_h)
-    return item.found(
-        share, f"of {n} sets", reason=f"no set was judged after hour {from_h:g} (last: {test.last_h:g})"
-    )
 
 
 def _smallest_loss(test: Evidence) -> item.Found:
@@ -141,145 +127,133 @@ def _smallest_loss(test: Evidence) -> item.Found:
         return item.missing("the test has no ultrasonic probe")
     hour, name = min(alarms)
     probe = next(iter(test.echoes.values()))
-    near = np.abs(probe.hour_h - hour) <= READ_WITHIN_H
-    if not np.isfinite(probe.thickness_loss_m[near]).any():
+    loss_m = _median_near(probe, "thickness_loss_m", hour)
+    if loss_m is None:
         return item.missing(f"no ultrasonic reading near hour {hour:g}")
-    loss_mm = 1e3 * float(np.nanmedian(probe.thickness_loss_m[near]))
-    return item.found(loss_mm, f"read at {probe.position} when {name} alarmed first, hour {hour:g}")
+    return item.found(1e3 * loss_m, f"read at {probe.position} when {name} alarmed first, hour {hour:g}")
+
+
+def _median_near(probe: Series, column: str, hour: float) -> float | None:
+    """Return the median of the readings near an hour; None if there are none."""
+    near = probe.values[column][np.abs(probe.hour_h - hour) <= READ_WITHIN_H]
+    return float(np.nanmedian(near)) if np.isfinite(near).any() else None
 
 
 # Figure 15 --------------------------------------------------------------------------------------
 
 
 def draw_fig15(material: item.Material) -> item.Product:
-    """Draw travel time, thickness and loss of the ultrasonic probe."""
+    """Draw travel time, thickness and loss of the first ultrasonic probe."""
     test = material.test
     if not test.echoes:
         raise item.NotAvailableError("the test has no position with method pulse_echo")
     probe = next(iter(test.echoes.values()))
     figure, axes = style.sheet(1, 2, height_in=3.4)
     travel, loss = axes
+    hours, values = probe.hour_h, probe.values
     colour = style.colour_of(probe.position, list(test.echoes))
-    travel.plot(probe.hour_h, 1e6 * probe.travel_time_s, ".", color=style.GREY, ms=6.0, label="travel time")
+    travel.plot(hours, 1e6 * values["travel_time_s"], ".", color=style.GREY, ms=6.0, label="travel time")
     travel.set(xlabel="hour of the test (h)", ylabel="ultrasonic travel time (µs)")
     wall = travel.twinx()
     wall.grid(visible=False)
     wall.spines["right"].set_visible(True)
-    wall.plot(probe.hour_h, 1e3 * probe.thickness_m, ".", color=colour, ms=2.5, label="thickness, eq. 17")
+    wall.plot(hours, 1e3 * values["thickness_m"], ".", color=colour, ms=2.5, label="thickness, eq. 17")
     wall.set_ylabel("remaining thickness (mm)")
-    loss.plot(probe.hour_h, 1e3 * probe.thickness_loss_m, ".", color=colour, ms=2.5, label="loss, eq. 17")
-    truth = _true_thickness(test, probe.position)
+    loss.plot(hours, 1e3 * values["thickness_loss_m"], ".", color=colour, ms=2.5, label="loss, eq. 17")
+    truth, initial_m = _true_thickness(test, probe.position), test.settings.ultrasound.initial_thickness_m
     if truth is not None:
-        wall.plot(truth[0], 1e3 * truth[1], color=style.BLUE, lw=1.0, label="the twin's true wall")
-        if probe.initial_thickness_m is not None:
-            loss.plot(
-                truth[0], 1e3 * (probe.initial_thickness_m - truth[1]), color=style.BLUE, lw=1.0, label="true"
-            )
+        true_h, true_m = truth
+        wall.plot(true_h, 1e3 * true_m, color=style.BLUE, lw=1.0, label="the twin's true wall")
+        loss.plot(true_h, 1e3 * (initial_m - true_m), color=style.BLUE, lw=1.0, label="true")
     line = _line(probe)
     if line is not None:
-        hours = np.array([0.0, probe.hour_h[-1]])
-        loss.plot(hours, 1e3 * (line[0] + line[1] * hours), color=style.BLACK, lw=1.0, label="our line")
+        ends_h = np.array([0.0, hours[-1]])
+        loss.plot(ends_h, 1e3 * (line[0] + line[1] * ends_h), color=style.BLACK, lw=1.0, label="our line")
     if probe.position == "A":
-        read_mm, core_mm = printed("fig15", "thickness_300"), printed("fig15", "core")
-        wall.plot([READ_H], [read_mm], **style.PAPER_MARK, label="paper, read at 300 h")
-        end_h, initial_mm = printed("table1", "end"), printed("fig15", "initial")
-        core_mark = {**style.PAPER_MARK, "marker": "s"}
-        wall.plot([end_h], [core_mm], **core_mark, label="paper, cored at the end")
-        loss.plot([READ_H], [initial_mm - read_mm], **style.PAPER_MARK)
-        loss.plot([end_h], [initial_mm - core_mm], **core_mark)
+        _mark_paper(wall, loss)
     loss.set(xlabel="hour of the test (h)", ylabel="loss of thickness (mm)")
     handles, labels = travel.get_legend_handles_labels()
     more_handles, more_labels = wall.get_legend_handles_labels()
     wall.legend([*handles, *more_handles], [*labels, *more_labels], loc="lower left")
     loss.legend(loc="upper left")
     style.name_panels(axes, (f"position {probe.position}: travel time and thickness", "loss of thickness"))
-    columns: dict[str, Any] = {
-        "set_index": probe.set_index,
-        "due_h": probe.hour_h,
-        "travel_time_s": probe.travel_time_s,
-        "thickness_m": probe.thickness_m,
-        "thickness_loss_m": probe.thickness_loss_m,
-    }
     return item.Product(
-        drawing=figure, tables={"": item.Table(columns=columns)}, found=_wall(test, probe, line)
+        drawing=figure,
+        tables={"": item.Table(columns={"set_index": probe.set_index, "due_h": hours, **values})},
+        found=_wall(test, probe, line),
     )
+
+
+def _mark_paper(wall: Axes, loss: Axes) -> None:
+    """Draw the reading and the core of the paper."""
+    initial_mm = printed("fig15", "initial")
+    for hour, quantity, marker, label in (
+        (READ_H, "thickness_300", "D", "paper, read at 300 h"),
+        (printed("table1", "end"), "core", "s", "paper, cored at the end"),
+    ):
+        mark, value_mm = {**style.PAPER_MARK, "marker": marker}, printed("fig15", quantity)
+        wall.plot([hour], [value_mm], **mark, label=label)
+        loss.plot([hour], [initial_mm - value_mm], **mark)
 
 
 def _true_thickness(test: Evidence, position: str) -> tuple[FloatArray, FloatArray] | None:
     """Return hours and true thickness of the twin; None for a real specimen."""
-    known = [trace for trace in test.traces.get(position, ()) if "thickness_m" in trace.truth]
+    known = [
+        (trace.hour_h, trace.truth["thickness_m"])
+        for trace in test.traces.get(position, ())
+        if "thickness_m" in trace.truth
+    ]
     if not known:
         return None
-    return (
-        np.array([trace.hour_h for trace in known]),
-        np.array([float(trace.truth["thickness_m"]) for trace in known]),
-    )
+    hours, thickness = np.transpose(known)
+    return hours, thickness
 
 
-def _line(probe: PulseEchoes) -> tuple[float, float] | None:
+def _line(probe: Series) -> tuple[float, float] | None:
     """Fit the loss in m at hour 0 and its slope in m/h by least squares."""
-    present = np.isfinite(probe.thickness_loss_m)
+    loss_m = probe.values["thickness_loss_m"]
+    present = np.isfinite(loss_m)
     if np.unique(probe.hour_h[present]).size < 2:
         return None
-    slope, start = np.polyfit(probe.hour_h[present], probe.thickness_loss_m[present], 1)
+    slope, start = np.polyfit(probe.hour_h[present], loss_m[present], 1)
     return float(start), float(slope)
 
 
-def _wall(test: Evidence, probe: PulseEchoes, line: tuple[float, float] | None) -> dict[str, item.Found]:
+def _wall(test: Evidence, probe: Series, line: tuple[float, float] | None) -> dict[str, item.Found]:
     """Return our values of figure 15."""
     names = ("thickness_300", "loss_300", "core", "linearity", "initial")
     if probe.position != "A":
         return dict.fromkeys(names, item.missing("the test has no pulse-echo position A"))
-    initial_m = probe.initial_thickness_m
-    values = {
-        "initial": item.missing("not configured")
-        if initial_m is None
-        else item.found(1e3 * initial_m, "configured")
-    }
-    near = np.abs(probe.hour_h - READ_H) <= READ_WITHIN_H
-    if np.isfinite(probe.thickness_m[near]).any() and initial_m is not None:
-        read_m = float(np.nanmedian(probe.thickness_m[near]))
+    initial_m = test.settings.ultrasound.initial_thickness_m
+    values = {"initial": item.found(1e3 * initial_m, "configured")}
+    read_m = _median_near(probe, "thickness_m", READ_H)
+    if read_m is not None:
         values["thickness_300"] = item.found(1e3 * read_m)
         values["loss_300"] = item.found(100.0 * (1.0 - read_m / initial_m))
     else:
-        values |= dict.fromkeys(
-            names[:2], item.missing(f"no reading near hour {READ_H:g} (last: {test.last_h:g})")
-        )
-    truth = _true_thickness(test, probe.position)
-    last = probe.thickness_m[np.isfinite(probe.thickness_m)][-1:]
+        absent = item.missing(f"no reading near hour {READ_H:g} (last: {test.last_h:g})")
+        values |= dict.fromkeys(names[:2], absent)
+    truth, thickness_m = _true_thickness(test, probe.position), probe.values["thickness_m"]
+    last = thickness_m[np.isfinite(thickness_m)][-1:]
     read = f"; the probe then reads {1e3 * float(last[0]):.2f} mm" if last.size else ""
-    if truth is None:
-        values["core"] = item.missing(f"nobody cored this test's plate{read}")
-    else:
-        values["core"] = item.found(
-            1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}"
-        )
+    values["core"] = (
+        item.missing(f"nobody cored this test's plate{read}")
+        if truth is None
+        else item.found(1e3 * float(truth[1][-1]), f"the twin's truth at hour {truth[0][-1]:g}{read}")
+    )
     values["linearity"] = (
         item.missing("fewer than two readings") if line is None else item.found(_r_squared(probe, line))
     )
     return values
 
 
-def _r_squared(probe: PulseEchoes, line: tuple[float, float]) -> float:
+def _r_squared(probe: Series, line: tuple[float, float]) -> float:
     """Compute R^2 of a line through the loss."""
-    present = np.isfinite(probe.thickness_loss_m)
-    hours, loss = probe.hour_h[present], probe.thickness_loss_m[present]
+    present = np.isfinite(probe.values["thickness_loss_m"])
+    hours, loss = probe.hour_h[present], probe.values["thickness_loss_m"][present]
     residual = loss - (line[0] + line[1] * hours)
     return 1.0 - float(residual @ residual) / float(((loss - loss.mean()) ** 2).sum())
 
 
-FIG14 = item.Item(
-    name="fig14",
-    title="Figure 14. Outlier analysis",
-    shows="Mahalanobis squared distance (eq. 16) of each set from the baseline, on a logarithmic axis; the "
-    "limits are computed from our baseline, the paper prints two different sets of its own.",
-    make=draw_fig14,
-    needs_test=True,
-)
-FIG15 = item.Item(
-    name="fig15",
-    title="Figure 15. Ultrasonic thickness",
-    shows="Travel time of the first back-wall echo and the thickness by eq. 17.",
-    make=draw_fig15,
-    needs_test=True,
-)
+FIG14 = item.Item(name="fig14", make=draw_fig14, needs_test=True)
+FIG15 = item.Item(name="fig15", make=draw_fig15, needs_test=True)

@@ -11,9 +11,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from daq_service.cli.reproduce.evidence import Evidence, PulseEchoes, SolitaryWaves, Trace
+from daq_service.cli.reproduce.evidence import Evidence, Series, Trace
 from daq_service.cli.reproduce.item import Item, Material, Product, stacked
 from daq_service.cli.reproduce.style import colour_of, name_panels, sheet
+from daq_service.settings.tree import UltrasoundSettings
 
 GATE_S = 90e-6
 """Half the width of a pulse's window, as in the extraction of features."""
@@ -68,7 +69,7 @@ def _checks(test: Evidence) -> Sequence[str]:
                 "us of the set's mean by single shots."
             )
     for name, probe in test.echoes.items():
-        spread = _equation_17(probe)
+        spread = _equation_17(probe, test.settings.ultrasound)
         if spread is not None:
             sentences.append(
                 f"Eq. 17 at {name}: thickness over (UT - D) is the same for all {spread[1]} readings to "
@@ -77,7 +78,7 @@ def _checks(test: Evidence) -> Sequence[str]:
     return sentences
 
 
-def _equation_16(pulses: SolitaryWaves) -> tuple[float, int] | None:
+def _equation_16(pulses: Series) -> tuple[float, int] | None:
     """Return the largest relative difference of stored distances from eq. 16, and their number."""
     baseline = pulses.baseline
     if baseline is None or None in baseline.mean:
@@ -96,19 +97,20 @@ def _equation_16(pulses: SolitaryWaves) -> tuple[float, int] | None:
     return float(np.max(np.abs(recomputed / stored[present] - 1.0))), int(present.sum())
 
 
-def _equation_17(probe: PulseEchoes) -> tuple[float, int] | None:
+def _equation_17(probe: Series, ultrasound: UltrasoundSettings) -> tuple[float, int] | None:
     """Return the spread of ``th / (UT - D)``, which eq. 17 makes constant, and the number of readings.
 
     None if the path between two elements is corrected: then eq. 17 was not used.
     """
-    present = np.isfinite(probe.thickness_m) & np.isfinite(probe.travel_time_s)
-    if probe.delay_s is None or probe.element_separation_m or int(present.sum()) < 2:
+    thickness_m, travel_time_s = probe.values["thickness_m"], probe.values["travel_time_s"]
+    present = np.isfinite(thickness_m) & np.isfinite(travel_time_s)
+    if ultrasound.element_separation_m or int(present.sum()) < 2:
         return None
-    ratio = probe.thickness_m[present] / (probe.travel_time_s[present] - probe.delay_s)
+    ratio = thickness_m[present] / (travel_time_s[present] - ultrasound.delay_s)
     return float(np.ptp(ratio) / np.abs(ratio).mean()), int(present.sum())
 
 
-def _autocorrelation(pulses: SolitaryWaves, traces: Sequence[Trace]) -> tuple[float, int] | None:
+def _autocorrelation(pulses: Series, traces: Sequence[Trace]) -> tuple[float, int] | None:
     """Return the largest deviation in us of the averaged records' lag, and the number of records."""
     row_of = {int(index): row for row, index in enumerate(pulses.set_index)}
     distances = []
@@ -143,11 +145,4 @@ def _lag_s(trace: Trace, isw_s: float, psw_s: float) -> float:
     return float((peak + 0.5 * (before - after) / (before - 2.0 * at + after)) * block_s)
 
 
-EQUATIONS = Item(
-    name="eqs14-17",
-    title="Equations 14 to 17. Correlation, area, distance, thickness",
-    shows="The three features of the outlier analysis that the paper does not show (it says their trends "
-    "are those of figures 8 and 9), and equations 16 and 17 computed again from what is stored.",
-    make=draw_equations,
-    needs_test=True,
-)
+EQUATIONS = Item(name="eqs14-17", make=draw_equations, needs_test=True)

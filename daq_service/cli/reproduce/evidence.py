@@ -9,10 +9,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from daq_service.archive import ArchiveError, FolderSetReader, SetReader, SetRecord, SetReference
 from daq_service.catalogue import Catalogue, open_catalogue
@@ -20,6 +20,9 @@ from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, BaselineRow, FeatureRow, SetRow, ThicknessRow
 from daq_service.errors import StorageError
 from daq_service.processes.lost_catalogue import lost_reason
+from daq_service.settings.stored import stored_settings
+from daq_service.settings.tree import PositionSettings, Settings
+from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 
 FloatArray = NDArray[np.float64]
 
@@ -28,7 +31,15 @@ PULSES = (
     "isw_amplitude_v", "psw_amplitude_v", "isw_time_s", "psw_time_s", "ssw_time_s", "isw_fwhm_s",
 )  # fmt: skip
 """Columns of the catalogue that are drawn or compared."""
-ASSESSED = ("distance_squared", "limit_f_predictive", "limit_mean_3sd")
+ASSESSED = (
+    "in_baseline",
+    "outlier",
+    "outlier_mean_3sd",
+    "distance_squared",
+    "limit_f_predictive",
+    "limit_mean_3sd",
+)
+ECHOES = ("travel_time_s", "thickness_m", "thickness_loss_m")
 
 TRACES = 25
 """Sets whose waveforms are drawn: enough for a trend, few enough to see single pulses."""
@@ -40,62 +51,26 @@ class Series:
 
     Attributes
     ----------
-    patch_m
-        Assumed size of the corroded patch; None if not configured.
+    settings
+        Of the position.
     set_index, hour_h
         Shape (n,).
+    values
+        By column of the catalogue, each float64 of shape (n,), NaN where not available: `PULSES` and
+        `ASSESSED` (1 yes, 0 no) of a solitary-wave transducer, `ECHOES` of an ultrasonic probe.
+    baseline
+        Row of the catalogue; None before it is frozen, and of a probe.
     first_alarm_h
         Hour of the first alarm about the wall, None where there is none.
     """
 
     position: str
-    label: str
-    patch_m: float | None
+    settings: PositionSettings
     set_index: NDArray[np.int64]
     hour_h: FloatArray
-    first_alarm_h: float | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SolitaryWaves(Series):
-    """Sets of one solitary-wave transducer.
-
-    Attributes
-    ----------
-    values
-        By column of the catalogue, each float64 of shape (n,), NaN where not available: `PULSES` and
-        `ASSESSED`.
-    in_baseline, outlier, outlier_mean_3sd
-        float64, shape (n,): 1 yes, 0 no, NaN where a set was not assessed.
-    baseline
-        Row of the catalogue, None before it is frozen.
-    """
-
     values: Mapping[str, FloatArray]
-    in_baseline: FloatArray
-    outlier: FloatArray
-    outlier_mean_3sd: FloatArray
     baseline: BaselineRow | None
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PulseEchoes(Series):
-    """Readings of one ultrasonic probe; arrays of shape (n,), NaN where no echo was found.
-
-    Attributes
-    ----------
-    delay_s, initial_thickness_m
-        D and th_0 of eq. 17, as configured.
-    element_separation_m
-        Distance of the probe's elements that its path is corrected for; 0: eq. 17 without correction.
-    """
-
-    travel_time_s: FloatArray
-    thickness_m: FloatArray
-    thickness_loss_m: FloatArray
-    delay_s: float | None
-    element_separation_m: float
-    initial_thickness_m: float | None
+    first_alarm_h: float | None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -120,7 +95,7 @@ class Trace:
     time_s: FloatArray
     volts: FloatArray
     n_records: int
-    truth: Mapping[str, Any] = field(default_factory=dict)
+    truth: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -133,8 +108,6 @@ class Evidence:
         The physics twin was behind it, so assumptions of the twin explain deviations.
     seed
         Of the twin; None for a real specimen.
-    baseline_h
-        Hours of the baseline as configured.
     traces
         By position: `TRACES` sets or fewer.
     trouble
@@ -143,15 +116,14 @@ class Evidence:
 
     folder: Path
     name: str
-    configuration: Mapping[str, Any]
+    settings: Settings
     configuration_hash: str
     solimon_version: str
     from_twin: bool
     seed: int | None
-    baseline_h: float | None
     counts: Mapping[str, int]
-    pulses: Mapping[str, SolitaryWaves]
-    echoes: Mapping[str, PulseEchoes]
+    pulses: Mapping[str, Series]
+    echoes: Mapping[str, Series]
     traces: Mapping[str, Sequence[Trace]]
     trouble: tuple[str, ...] = ()
 
@@ -173,19 +145,14 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
     try:
         with open_catalogue(folder) as catalogue:
             row = catalogue.experiment_row()
-            configuration = row.configuration
+            settings = stored_settings(row.configuration)
             sets = catalogue.rows(SetRow)
-            places = _places(configuration, sets)
-            pulses = {
-                name: _solitary_waves(catalogue, name, place)
-                for name, place in places.items()
-                if place["method"] == "solitary_wave"
-            }
-            echoes = {
-                name: _pulse_echoes(catalogue, name, place, configuration)
-                for name, place in places.items()
-                if place["method"] == "pulse_echo"
-            }
+            with_sets = {one.position for one in sets}
+            series = [
+                _series(catalogue, name, place)
+                for name, place in settings.positions.items()
+                if name in with_sets
+            ]
             counts = catalogue.counts()
     except NoDataYetError as error:
         raise StorageError(
@@ -193,100 +160,59 @@ def read_evidence(folder: Path, *, with_traces: bool = True) -> Evidence:
             or f"{folder} holds no test that has begun; give --from the data folder of one (it has a file "
             "catalogue.sqlite), or leave --from out to run the paper's test on the twin"
         ) from error
+    except ValidationError as error:
+        raise StorageError(
+            f"{folder} keeps a configuration that this version does not know: {error}; use the one that "
+            "recorded it"
+        ) from error
     if not counts["sets"]:
         raise StorageError(f"{folder} has no set yet; wait for the first one, or give another folder")
     traces, trouble = _traces(FolderSetReader(folder), sets) if with_traces else ({}, ())
-    rig, twin = configuration.get("rig", {}), configuration.get("twin", {})
-    from_twin = rig.get("kind") == "simulated" or bool(rig.get("on_doubles"))
     return Evidence(
         folder=folder,
         name=row.name,
-        configuration=configuration,
+        settings=settings,
         configuration_hash=row.configuration_hash,
         solimon_version=row.solimon_version,
-        from_twin=from_twin,
-        seed=twin.get("seed") if from_twin else None,
-        baseline_h=configuration.get("baseline", {}).get("hours"),
+        from_twin=settings.rig.on_twin,
+        seed=settings.twin.seed if settings.rig.on_twin else None,
         counts=counts,
-        pulses=pulses,
-        echoes=echoes,
+        pulses={one.position: one for one in series if one.settings.method == SOLITARY_WAVE},
+        echoes={one.position: one for one in series if one.settings.method == PULSE_ECHO},
         traces=traces,
         trouble=trouble,
     )
 
 
-def _places(configuration: Mapping[str, Any], sets: Sequence[SetRow]) -> dict[str, dict[str, Any]]:
-    """Return the positions with sets, each with its method."""
-    methods = {row.position: row.method for row in sets}
-    configured = configuration.get("positions", {})
-    names = [name for name in configured if name in methods]
-    names += sorted(set(methods) - set(names))
-    return {name: {**configured.get(name, {}), "method": methods[name]} for name in names}
-
-
-def _common(
-    catalogue: Catalogue, position: str, place: Mapping[str, Any], columns: Mapping[str, Sequence[Any]]
-) -> dict[str, Any]:
-    """Return the fields of a `Series`."""
+def _series(catalogue: Catalogue, position: str, settings: PositionSettings) -> Series:
+    """Read the sets of a position."""
+    columns = {}
+    if settings.method == PULSE_ECHO:
+        found = catalogue.columns(ThicknessRow, ["set_index", "due_h", *ECHOES], position=position)
+    else:
+        found = catalogue.columns(FeatureRow, ["set_index", "due_h", *PULSES], position=position, scope="set")
+        assessments = catalogue.columns(AssessmentRow, ["set_index", *ASSESSED], position=position)
+        for name in ASSESSED:
+            of_set = dict(zip(assessments["set_index"], assessments[name], strict=True))
+            columns[name] = [of_set.get(index) for index in found["set_index"]]
+    columns |= {name: found[name] for name in found if name not in ("set_index", "due_h")}
     alarms_h = [
         row.raised_h for row in catalogue.rows(AlarmRow, position=position) if row.alarm_class == "damage"
     ]
-    return {
-        "position": position,
-        "label": place.get("label", ""),
-        "patch_m": place.get("corrosion", {}).get("size_m"),
-        "set_index": np.array(columns["set_index"], dtype=np.int64),
-        "hour_h": _array(columns["due_h"]),
-        "first_alarm_h": min(alarms_h, default=None),
-    }
+    return Series(
+        position=position,
+        settings=settings,
+        set_index=np.array(found["set_index"], dtype=np.int64),
+        hour_h=_array(found["due_h"]),
+        values={name: _array(values) for name, values in columns.items()},
+        baseline=catalogue.baseline(position),
+        first_alarm_h=min(alarms_h, default=None),
+    )
 
 
 def _array(values: Sequence[float | bool | None]) -> FloatArray:
     """Return values as float64; None becomes NaN."""
     return np.array([np.nan if value is None else float(value) for value in values], dtype=np.float64)
-
-
-def _solitary_waves(catalogue: Catalogue, position: str, place: Mapping[str, Any]) -> SolitaryWaves:
-    """Read the sets of a solitary-wave transducer."""
-    columns = catalogue.columns(FeatureRow, ["set_index", "due_h", *PULSES], position=position, scope="set")
-    assessments = catalogue.columns(
-        AssessmentRow,
-        ["set_index", "in_baseline", "outlier", "outlier_mean_3sd", *ASSESSED],
-        position=position,
-    )
-    row_of = {index: row for row, index in enumerate(assessments["set_index"])}
-    rows = [row_of.get(index) for index in columns["set_index"]]
-
-    def assessed_values(name: str) -> FloatArray:
-        return _array([None if row is None else assessments[name][row] for row in rows])
-
-    return SolitaryWaves(
-        **_common(catalogue, position, place, columns),
-        values={name: _array(columns[name]) for name in PULSES}
-        | {name: assessed_values(name) for name in ASSESSED},
-        in_baseline=assessed_values("in_baseline"),
-        outlier=assessed_values("outlier"),
-        outlier_mean_3sd=assessed_values("outlier_mean_3sd"),
-        baseline=catalogue.baseline(position),
-    )
-
-
-def _pulse_echoes(
-    catalogue: Catalogue, position: str, place: Mapping[str, Any], configuration: Mapping[str, Any]
-) -> PulseEchoes:
-    """Read the sets of an ultrasonic probe."""
-    names = ("travel_time_s", "thickness_m", "thickness_loss_m")
-    columns = catalogue.columns(ThicknessRow, ["set_index", "due_h", *names], position=position)
-    ultrasound = configuration.get("ultrasound", {})
-    return PulseEchoes(
-        **_common(catalogue, position, place, columns),
-        travel_time_s=_array(columns["travel_time_s"]),
-        thickness_m=_array(columns["thickness_m"]),
-        thickness_loss_m=_array(columns["thickness_loss_m"]),
-        delay_s=ultrasound.get("delay_s"),
-        element_separation_m=ultrasound.get("element_separation_m") or 0.0,
-        initial_thickness_m=ultrasound.get("initial_thickness_m"),
-    )
 
 
 def _traces(archive: SetReader, sets: Sequence[SetRow]) -> tuple[dict[str, list[Trace]], tuple[str, ...]]:

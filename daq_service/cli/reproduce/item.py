@@ -8,13 +8,15 @@ processes; `daq_service.cli.reproduce.run` brings them together.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.cli.reproduce.evidence import Evidence, FloatArray, SolitaryWaves
+from daq_service.cli.reproduce.evidence import Evidence, FloatArray, Series
+from daq_service.cli.reproduce.texts import TEXTS, Caption
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -31,8 +33,8 @@ class Job:
     Equal jobs are computed once, so the arguments must be hashable and picklable.
     """
 
-    function: Callable[..., Any]
-    arguments: tuple[Any, ...] = ()
+    function: Callable[..., object]
+    arguments: tuple[Hashable, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,17 +72,21 @@ def missing(reason: str) -> Found:
 class Table:
     """Columns of a CSV file, of equal length; the name of a column ends with its unit."""
 
-    columns: Mapping[str, Sequence[Any] | NDArray[Any]]
+    columns: Mapping[str, Sequence[object] | NDArray[np.generic]]
 
     def __post_init__(self) -> None:
         lengths = {name: len(values) for name, values in self.columns.items()}
         if len(set(lengths.values())) > 1:
             raise ValueError(f"columns of a table differ in length: {lengths}")
 
+    def rows(self) -> Iterator[tuple[object, ...]]:
+        """Yield the rows."""
+        return zip(*self.columns.values(), strict=True)
 
-def stacked(test: Evidence, columns: Callable[[SolitaryWaves], Mapping[str, FloatArray]]) -> Table:
+
+def stacked(test: Evidence, columns: Callable[[Series], Mapping[str, FloatArray]]) -> Table:
     """Stack columns of the sets of all transducers, with position, set and hour."""
-    table: dict[str, list[Any]] = {}
+    table: dict[str, list[object]] = {}
     for name, pulses in test.pulses.items():
         part = {"set_index": pulses.set_index, "due_h": pulses.hour_h, **columns(pulses)}
         table.setdefault("position", []).extend([name] * pulses.hour_h.size)
@@ -102,7 +108,7 @@ class Material:
     """
 
     evidence: Evidence | None
-    results: Mapping[str, Any]
+    results: Mapping[str, object]
 
     def result(self, name: str) -> Any:
         """Return the result of a job.
@@ -162,8 +168,6 @@ class Item:
     ----------
     name
         As in ``--only`` and in file names.
-    shows
-        Caption: what is drawn here, and what the paper's figure shows where that cannot be computed.
     needs_test
         Whether it draws measurements.
     jobs
@@ -171,8 +175,11 @@ class Item:
     """
 
     name: str
-    title: str
-    shows: str
     make: Callable[[Material], Product]
     needs_test: bool = False
     jobs: Mapping[str, Job] = field(default_factory=dict)
+
+    @property
+    def caption(self) -> Caption:
+        """Title and text below it."""
+        return TEXTS.captions[self.name]

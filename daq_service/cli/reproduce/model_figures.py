@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from daq_service.cli.reproduce import item, models, style
-from daq_service.cli.reproduce.paper_values import SENSORS, printed
+from daq_service.cli.reproduce.paper_values import printed
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
@@ -22,9 +23,46 @@ SOLID_DEPTHS = (0.0, 0.2, 0.4, 0.5, 0.6, 0.7, 0.8)
 CASE_3 = 0.258
 """Lambda of the paper's Table 2, case 3."""
 
-_CHAINS = {sensor: ChainParameters(sensor=sensor) for sensor in ("sphere", "disk")}
-_PLATE = PlateParameters()
+_SPHERE, _DISK = ChainParameters(sensor="sphere"), ChainParameters(sensor="disk")
+_STRONG = replace(_DISK, contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)
+_PLATE, _SOLID = PlateParameters(), PlateParameters(model="solid")
+_PATCH, _LARGE_PATCH = CorrosionParameters(size_m=25.4e-3), CorrosionParameters(size_m=50.8e-3)
 _GRID = tuple(float(x) for x in np.linspace(0.0, 2.0, 41))
+
+_Curves = Mapping[str, Sequence[models.Point]]
+
+
+@dataclass(frozen=True, slots=True)
+class _Curve:
+    """A curve of ToF and AR: its style, and the computation of its points."""
+
+    label: str
+    colour: str
+    dash: str
+    job: item.Job
+
+
+def _curves(styles: Mapping[str, _Curve], curves: _Curves, *, height_in: float) -> tuple[Figure, list[Axes]]:
+    """Draw ToF and AR over what is varied."""
+    figure, axes = style.sheet(1, 2, height_in=height_in)
+    for name, points in curves.items():
+        curve, columns = styles[name], np.transpose(points)
+        for axis, values, label in ((axes[0], columns[1], curve.label), (axes[1], columns[2], None)):
+            axis.plot(columns[0], values, color=curve.colour, ls=curve.dash, label=label)
+    axes[0].set_ylabel("time of flight (µs)")
+    axes[1].set_ylabel("amplitude ratio (1)")
+    style.name_panels(axes, ("time of flight", "amplitude ratio"))
+    return figure, axes
+
+
+def _curve_table(curves: _Curves, varied: str) -> item.Table:
+    """Return the points of all curves as a table."""
+    rows = [(name, *point) for name, points in curves.items() for point in points]
+    names = ("curve", varied, "tof_us", "amplitude_ratio")
+    return item.Table(columns={name: [row[k] for row in rows] for k, name in enumerate(names)})
+
+
+# Figure 10 --------------------------------------------------------------------------------------
 
 
 def draw_fig10(material: item.Material) -> item.Product:
@@ -68,236 +106,171 @@ def _worst(columns: Mapping[str, Sequence[float]], approximate: str, exact: str)
 
 # Figure 12 --------------------------------------------------------------------------------------
 
-_ISW_CURVES = (
-    ("disk", "coupled model, sensor two disks", style.BLUE, "-"),
-    ("sphere", "coupled model, sensor a sphere", style.SKY, "-"),
-    ("disk_gamma", "the same disks, gamma 1,000 N s/m at the plate", style.VERMILLION, "-"),
-    ("zener_eq8", "Zener, eq. 8", style.GREEN, "--"),
-    ("zener_closed", "Zener, eqs 10 and 12", style.ORANGE, ":"),
+
+def _over_isw(chain: ChainParameters) -> item.Job:
+    return item.Job(function=models.pulses_over_isw, arguments=(chain, _PLATE, models.ISW_STEPS))
+
+
+def _zener_over_isw(*, closed_form: bool) -> item.Job:
+    return item.Job(function=models.zener_over_isw, arguments=(models.ISW_STEPS, closed_form))
+
+
+_ISW_CURVES = {
+    "disk": _Curve("coupled model, sensor two disks", style.BLUE, "-", _over_isw(_DISK)),
+    "sphere": _Curve("coupled model, sensor a sphere", style.SKY, "-", _over_isw(_SPHERE)),
+    "disk_gamma": _Curve(
+        "the same disks, gamma 1,000 N s/m at the plate", style.VERMILLION, "-", _over_isw(_STRONG)
+    ),
+    "zener_eq8": _Curve("Zener, eq. 8", style.GREEN, "--", _zener_over_isw(closed_form=False)),
+    "zener_closed": _Curve("Zener, eqs 10 and 12", style.ORANGE, ":", _zener_over_isw(closed_form=True)),
+}
+_ISW_MARKS = (
+    (0, "numerical", "tof", "center"),
+    (0, "Zener", "tof_zener", "bottom"),
+    (1, "numerical", "ar", "center"),
+    (1, "Zener", "ar_zener", "bottom"),
+    (1, "measured", "ar_measured", "top"),
 )
+"""Panel, label, quantity and vertical alignment of the paper's values, on the side without curves."""
 
 
 def draw_fig12(material: item.Material) -> item.Product:
     """Draw ToF and AR over the amplitude of the incident wave."""
-    curves: dict[str, list[tuple[float, float, float]]] = {}
-    for name, *_ in _ISW_CURVES:
-        curves[name] = [
-            (ratio, shot.tof_us, shot.amplitude_ratio)
-            if isinstance(shot, models.Pulse)
-            else (ratio, 1e6 * shot.tof_s, shot.amplitude_ratio)
-            for ratio, shot in material.result(name)
-        ]
-    figure, axes = style.sheet(1, 2, height_in=4.1)
-    for name, label, colour, dash in _ISW_CURVES:
-        ratio, tof_us, ar = (list(column) for column in zip(*curves[name], strict=True))
-        axes[0].plot(ratio, tof_us, color=colour, ls=dash, label=label)
-        axes[1].plot(ratio, ar, color=colour, ls=dash)
-    for axis, quantities in ((axes[0], ("tof", "tof_zener")), (axes[1], ("ar", "ar_zener", "ar_measured"))):
-        for quantity in quantities:
-            axis.plot([1.0], [printed("fig12", quantity)], **style.PAPER_MARK)
-        _band(axis, *(("tof", "tof_plus") if axis is axes[0] else ("ar", "ar_plus")))
+    curves: _Curves = {name: material.result(name) for name in _ISW_CURVES}
+    figure, axes = _curves(_ISW_CURVES, curves, height_in=4.1)
+    for panel, text, quantity, side in _ISW_MARKS:
+        value, offset_points = printed("fig12", quantity), {"bottom": 3, "center": 0, "top": -3}[side]
+        axes[panel].plot([1.0], [value], **style.PAPER_MARK)
+        axes[panel].annotate(
+            text, (1.0, value), (6, offset_points), textcoords="offset points", va=side, fontsize=7
+        )
+    for axis, nominal in zip(axes, ("tof", "ar"), strict=True):
+        value, percent = printed("fig12", nominal), printed("fig12", f"{nominal}_plus")
+        for sign in (-1.0, 1.0):
+            axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **style.PAPER_LINE)
         axis.set(xlabel="ISW amplitude over the nominal one (1)")
     axes[0].plot([], [], **style.PAPER_MARK, label="paper's values; dashed: its model's ± band")
-    axes[0].set_ylabel("time of flight (µs)")
-    axes[1].set_ylabel("amplitude ratio (1)")
-    for axis, text, quantity, side in (
-        (axes[0], "numerical", "tof", "center"),
-        (axes[0], "Zener", "tof_zener", "bottom"),
-        (axes[1], "numerical", "ar", "center"),
-        (axes[1], "Zener", "ar_zener", "bottom"),
-        (axes[1], "measured", "ar_measured", "top"),
-    ):
-        _name_mark(axis, text, printed("fig12", quantity), side)
-    figure.legend(loc="outside lower center", ncols=2)
-    style.name_panels(axes, ("time of flight", "amplitude ratio"))
+    style.legend_below(figure, ncols=2)
     return item.Product(
         drawing=figure, tables={"": _curve_table(curves, "isw_ratio")}, found=_isw_found(curves)
     )
 
 
-def _name_mark(axis: Axes, text: str, value: float, side: str) -> None:
-    """Label one of the paper's values on the side without curves."""
-    axis.annotate(
-        text,
-        (1.0, value),
-        (6, {"bottom": 3, "center": 0, "top": -3}[side]),
-        textcoords="offset points",
-        va=side,
-        fontsize=7,
-    )
-
-
-def _band(axis: Axes, nominal: str, spread: str) -> None:
-    """Draw the paper's range around a nominal value."""
-    value, percent = printed("fig12", nominal), printed("fig12", spread)
-    for sign in (-1.0, 1.0):
-        axis.plot([0.8, 1.2], [value * (1.0 + sign * 0.01 * percent)] * 2, **style.PAPER_LINE)
-
-
-def _curve_table(curves: Mapping[str, Sequence[tuple[float, float, float]]], over: str) -> item.Table:
-    """Return the points of all curves as a table."""
-    rows = [(name, *point) for name, points in curves.items() for point in points]
-    names = ("curve", over, "tof_us", "amplitude_ratio")
-    return item.Table(
-        columns=dict(zip(names, (list(column) for column in zip(*rows, strict=True)), strict=True))
-    )
-
-
-def _isw_found(curves: Mapping[str, Sequence[tuple[float, float, float]]]) -> dict[str, item.Found]:
+def _isw_found(curves: _Curves) -> dict[str, item.Found]:
     """Return our values of figure 12."""
     at = {name: {round(point[0], 6): point[1:] for point in points} for name, points in curves.items()}
-    tof_us, ar = at["disk"][1.0]
-    change = {
-        (ratio, kind): 100.0 * (at["disk"][ratio][kind] / at["disk"][1.0][kind] - 1.0)
-        for ratio in (0.8, 1.2)
-        for kind in (0, 1)
-    }
-    strong_tof_us, strong_ar = at["disk_gamma"][1.0]
-    return {
-        "tof_plus": item.found(abs(change[1.2, 0]), f"{change[1.2, 0]:+.2f} %"),
-        "tof_minus": item.found(abs(change[0.8, 0]), f"{change[0.8, 0]:+.2f} %"),
-        "ar_plus": item.found(abs(change[1.2, 1]), f"{change[1.2, 1]:+.2f} %"),
-        "ar_minus": item.found(abs(change[0.8, 1]), f"{change[0.8, 1]:+.2f} %"),
-        "tof": item.found(tof_us, "sensor two disks"),
-        "ar": item.found(ar, "sensor two disks"),
-        "tof_zener": item.found(at["zener_eq8"][1.0][0], "eq. 8"),
-        "ar_zener": item.found(at["zener_eq8"][1.0][1], "eq. 8"),
-        "ar_measured": item.found(ar, "our model beside the paper's measurement"),
-        "gamma_tof": item.found(strong_tof_us - tof_us, f"{100 * (strong_tof_us / tof_us - 1):+.1f} %"),
-        "gamma_ar": item.found(strong_ar - ar, f"{100 * (strong_ar / ar - 1):+.0f} %"),
-    }
+    nominal, strong, zener = (at[name][1.0] for name in ("disk", "disk_gamma", "zener_eq8"))
+    found = {}
+    for kind, name in enumerate(("tof", "ar")):
+        for ratio, sign in ((1.2, "plus"), (0.8, "minus")):
+            change = 100.0 * (at["disk"][ratio][kind] / nominal[kind] - 1.0)
+            found[f"{name}_{sign}"] = item.found(abs(change), f"{change:+.2f} %")
+        found[name] = item.found(nominal[kind], "sensor two disks")
+        found[f"{name}_zener"] = item.found(zener[kind], "eq. 8")
+        shift = f"{100 * (strong[kind] / nominal[kind] - 1):+.{1 - kind}f} %"
+        found[f"gamma_{name}"] = item.found(strong[kind] - nominal[kind], shift)
+    found["ar_measured"] = item.found(nominal[1], "our model beside the paper's measurement")
+    return found
 
 
 # Figure 13 --------------------------------------------------------------------------------------
 
-_DEPTH_CURVES = (
-    ("mindlin_sphere", "plate theory, sensor a sphere", style.SKY, "-", DEPTHS),
-    ("mindlin_disk", "plate theory, sensor two disks", style.BLUE, "-", DEPTHS),
-    ("mindlin_disk_large", "plate theory, disks, patch of 50.8 mm (C)", style.GREEN, "-.", DEPTHS),
-    ("solid_sphere", "solid, sensor a sphere", style.ORANGE, "--", SOLID_DEPTHS),
-    ("solid_disk", "solid, sensor two disks", style.VERMILLION, "--", SOLID_DEPTHS),
-)
-_LABELS = {name: label for name, label, *_ in _DEPTH_CURVES}
+
+def _over_depth(
+    chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
+) -> item.Job:
+    return item.Job(function=models.pulses_over_depth, arguments=(chain, plate, patch, depths))
 
 
-def _depth_jobs() -> dict[str, item.Job]:
-    """Return the jobs of figure 13."""
-    jobs = {}
-    for name, _, _, _, depths in _DEPTH_CURVES:
-        model, sensor, *large = name.split("_")
-        if model not in models.plate_models():
-            continue
-        patch = CorrosionParameters(size_m=50.8e-3 if large else 25.4e-3)
-        plate = models.plate_of_model(model)
-        jobs[name] = item.Job(
-            function=models.pulses_over_depth, arguments=(_CHAINS[sensor], plate, patch, depths)
-        )
-    return jobs
+_DEPTH_CURVES = {
+    "mindlin_sphere": _Curve(
+        "plate theory, sensor a sphere", style.SKY, "-", _over_depth(_SPHERE, _PLATE, _PATCH, DEPTHS)
+    ),
+    "mindlin_disk": _Curve(
+        "plate theory, sensor two disks", style.BLUE, "-", _over_depth(_DISK, _PLATE, _PATCH, DEPTHS)
+    ),
+    "mindlin_disk_large": _Curve(
+        "plate theory, disks, patch of 50.8 mm (C)",
+        style.GREEN,
+        "-.",
+        _over_depth(_DISK, _PLATE, _LARGE_PATCH, DEPTHS),
+    ),
+    "solid_sphere": _Curve(
+        "solid, sensor a sphere", style.ORANGE, "--", _over_depth(_SPHERE, _SOLID, _PATCH, SOLID_DEPTHS)
+    ),
+    "solid_disk": _Curve(
+        "solid, sensor two disks", style.VERMILLION, "--", _over_depth(_DISK, _SOLID, _PATCH, SOLID_DEPTHS)
+    ),
+}
 
 
 def draw_fig13(material: item.Material) -> item.Product:
     """Draw ToF and AR over the relative depth of the patch."""
-    curves: dict[str, list[tuple[float, float, float]]] = {}
+    curves: dict[str, list[models.Point]] = {}
     absent: dict[str, str] = {}
-    for name, *_ in _DEPTH_CURVES:
+    for name in _DEPTH_CURVES:
         try:
-            shots = material.result(name)
-        except KeyError:
-            absent[name] = "this version has no plate.model = 'solid'"
+            curves[name] = [(s.depth_fraction, s.tof_us, s.amplitude_ratio) for s in material.result(name)]
         except item.NotAvailableError as error:
             absent[name] = str(error)
-        else:
-            curves[name] = [(s.depth_fraction, s.tof_us, s.amplitude_ratio) for s in shots]
-    figure, axes = style.sheet(1, 2, height_in=4.3)
-    for name, curve_label, colour, dash, _ in _DEPTH_CURVES:
-        if name not in curves:
-            continue
-        depth, tof_us, ar = (np.array(column) for column in zip(*curves[name], strict=True))
-        axes[0].plot(100 * depth, tof_us, color=colour, ls=dash, label=curve_label)
-        axes[1].plot(100 * depth, ar, color=colour, ls=dash)
+    in_percent = {name: [(100 * depth, tof, ar) for depth, tof, ar in curves[name]] for name in curves}
+    figure, axes = _curves(_DEPTH_CURVES, in_percent, height_in=4.3)
     for program, model, mark in (("MATLAB", "mindlin", "D"), ("ABAQUS", "solid", "s")):
         for axis, kind in ((axes[0], "tof"), (axes[1], "ar")):
             ends = [printed("fig13", f"{model}_sphere_{kind}_{depth}") for depth in (0, 80)]
             mark_style = {**style.PAPER_MARK, "marker": mark, "linestyle": ":", "linewidth": 0.8}
-            label = f"paper, {program} (ends only)" if axis is axes[0] else None
-            axis.plot([0, 80], ends, **mark_style, label=label)
-    for axis in axes:
-        axis.set(xlabel="depth of the patch (% of the thickness)")
-    axes[0].set_ylabel("time of flight (µs)")
-    axes[1].set_ylabel("amplitude ratio (1)")
-    figure.legend(loc="outside lower center", ncols=2)
-    style.name_panels(axes, ("time of flight", "amplitude ratio"))
+            axis.plot([0, 80], ends, **mark_style, label=f"paper, {program} (ends only)")
+            axis.set(xlabel="depth of the patch (% of the thickness)")
+    style.legend_below(figure, ncols=2)
     return item.Product(
         drawing=figure,
         tables={"": _curve_table(curves, "depth_fraction")},
         found=_depth_found(curves, absent),
         notes=(
             *(_turning(name, points) for name, points in curves.items()),
-            *(f"{_LABELS[name].capitalize()}: not available, {why}." for name, why in absent.items()),
+            *(
+                f"{_DEPTH_CURVES[name].label.capitalize()}: not available, {why}."
+                for name, why in absent.items()
+            ),
         ),
     )
 
 
-def _depth_found(
-    curves: Mapping[str, Sequence[tuple[float, float, float]]], absent: Mapping[str, str]
-) -> dict[str, item.Found]:
+def _depth_found(curves: _Curves, absent: Mapping[str, str]) -> dict[str, item.Found]:
     """Return our values of figure 13."""
-    values: dict[str, item.Found] = {}
-    for model in ("mindlin", "solid"):
-        for sensor, _ in SENSORS:
-            name = f"{model}_{sensor}"
-            for column, kind in ((1, "tof"), (2, "ar")):
-                for depth, ending in ((0.0, "0"), (0.8, "80")):
-                    key = f"{name}_{kind}_{ending}"
-                    if name in absent:
-                        values[key] = item.missing(absent[name])
-                        continue
-                    at = {round(point[0], 6): point[column] for point in curves[name]}
-                    values[key] = item.found(at[depth])
-    return values
+    ends = [
+        (f"{kind}_{ending}", k, depth)
+        for k, kind in ((1, "tof"), (2, "ar"))
+        for depth, ending in ((0.0, "0"), (0.8, "80"))
+    ]
+    found = {f"{name}_{key}": item.missing(why) for name, why in absent.items() for key, *_ in ends}
+    for name, points in curves.items():
+        at = {round(point[0], 6): point for point in points}
+        found |= {f"{name}_{key}": item.found(at[depth][k]) for key, k, depth in ends}
+    return found
 
 
-def _turning(name: str, points: Sequence[tuple[float, float, float]]) -> str:
+def _turning(name: str, points: Sequence[models.Point]) -> str:
     """Describe where the amplitude ratio is minimal, among the computed depths."""
     depth, _, lowest = min(points, key=lambda point: point[2] if math.isfinite(point[2]) else math.inf)
     return (
-        f"{_LABELS[name].capitalize()}: AR is least, {lowest:.3f}, at a depth of {100 * depth:.0f} % and "
-        f"{points[-1][2]:.3f} at {100 * points[-1][0]:.0f} %."
+        f"{_DEPTH_CURVES[name].label.capitalize()}: AR is least, {lowest:.3f}, at a depth of "
+        f"{100 * depth:.0f} % and {points[-1][2]:.3f} at {100 * points[-1][0]:.0f} %."
     )
 
 
 FIG10 = item.Item(
     name="fig10",
-    title="Figure 10. Coefficient of restitution and contact time",
-    shows="Zener's equation 8 solved numerically, and the closed forms of equations 10 (up to lambda = 1) "
-    "and 12.",
     make=draw_fig10,
     jobs={
         "curve": item.Job(function=models.impact_over_inelasticity, arguments=(_GRID,)),
         "case_3": item.Job(function=models.impact_over_inelasticity, arguments=((CASE_3,),)),
     },
 )
-_STEPS = models.ISW_STEPS
-_STRONG = replace(_CHAINS["disk"], contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)
-FIG12 = item.Item(
-    name="fig12",
-    title="Figure 12. Influence of the incident wave's amplitude",
-    shows="Pristine plate; the striker's height is varied so that the ISW is 0.8 to 1.2 times the nominal "
-    "one.",
-    make=draw_fig12,
-    jobs={
-        "disk": item.Job(function=models.pulses_over_isw, arguments=(_CHAINS["disk"], _PLATE, _STEPS)),
-        "sphere": item.Job(function=models.pulses_over_isw, arguments=(_CHAINS["sphere"], _PLATE, _STEPS)),
-        "disk_gamma": item.Job(function=models.pulses_over_isw, arguments=(_STRONG, _PLATE, _STEPS)),
-        "zener_eq8": item.Job(function=models.zener_by_eq_8, arguments=(_STEPS,)),
-        "zener_closed": item.Job(function=models.zener_by_closed_forms, arguments=(_STEPS,)),
-    },
-)
-FIG13 = item.Item(
-    name="fig13",
-    title="Figure 13. Influence of the depth of corrosion",
-    shows="A patch of 25.4 mm thinned at the middle of the plate; of the paper's curves only the ends are "
-    "printed as numbers. The paper's MATLAB model is plate theory, its ABAQUS model a solid.",
-    make=draw_fig13,
-    jobs=_depth_jobs(),
+FIG12, FIG13 = (
+    item.Item(name=name, make=make, jobs={key: curve.job for key, curve in curves.items()})
+    for name, make, curves in (
+        ("fig12", draw_fig12, _ISW_CURVES),
+        ("fig13", draw_fig13, _DEPTH_CURVES),
+    )
 )

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any, get_args, get_type_hints
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,19 +36,8 @@ ISW_STEPS = (0.8, 0.85, 0.9, 0.95, 1.0, 1.05, 1.1, 1.15, 1.2)
 
 LONGEST_SEARCH = 60
 
-
-def plate_models() -> tuple[str, ...]:
-    """Return the names of the plate models."""
-    return tuple(get_args(get_type_hints(PlateParameters)["model"]))
-
-
-def plate_of_model(model: str) -> PlateParameters:
-    """Return the paper's plate with one of `plate_models`."""
-    if model not in plate_models():
-        raise ValueError(f"plate model {model!r}; this version has {', '.join(plate_models())}")
-    # The type checker cannot see that the name is one of the literal ones.
-    values: dict[str, Any] = {"model": model}
-    return PlateParameters(**values)
+Point = tuple[float, float, float]
+"""What is varied, time of flight in us, amplitude ratio."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -57,9 +45,7 @@ class Pulse:
     """Noise-free shot: peaks of the sensor's force, static preload included."""
 
     depth_fraction: float
-    drop_height_m: float
     isw_peak_n: float
-    isw_time_us: float
     tof_us: float
     amplitude_ratio: float
 
@@ -81,9 +67,7 @@ def pulses_over_depth(
     return [_pulse(model, depth, chain.drop_height_m) for depth in depths]
 
 
-def pulses_over_isw(
-    chain: ChainParameters, plate: PlateParameters, ratios: tuple[float, ...]
-) -> list[tuple[float, Pulse]]:
+def pulses_over_isw(chain: ChainParameters, plate: PlateParameters, ratios: tuple[float, ...]) -> list[Point]:
     """Compute shots with `ratios` of the nominal ISW, each found by its drop height."""
     model = ShotModel(chain, plate, CorrosionParameters())
     nominal_n = _pulse(model, 0.0, chain.drop_height_m).isw_peak_n
@@ -98,34 +82,25 @@ def pulses_over_isw(
             xtol=1e-9,
             maxiter=LONGEST_SEARCH,
         )
-        found.append((ratio, _pulse(model, 0.0, float(height_m))))
+        pulse = _pulse(model, 0.0, float(height_m))
+        found.append((ratio, pulse.tof_us, pulse.amplitude_ratio))
     return found
 
 
-def zener_over_isw(ratios: tuple[float, ...], *, closed_form: bool) -> list[tuple[float, ZenerReflection]]:
-    """Compute Zener's model over the ISW's amplitude, ``F ~ v^(6/5) ~ h^(3/5)`` as in Table 2."""
-    chain, plate = ChainParameters(), PlateParameters()
-    return [
-        (
-            ratio,
-            reflect(
-                replace(chain, drop_height_m=chain.drop_height_m * ratio ** (5.0 / 3.0)),
-                plate,
-                closed_form=closed_form,
-            ),
-        )
-        for ratio in ratios
-    ]
+def zener_over_isw(ratios: tuple[float, ...], closed_form: bool) -> list[Point]:
+    """Compute Zener's model over the ISW's amplitude, ``F ~ v^(6/5) ~ h^(3/5)`` as in Table 2.
 
-
-def zener_by_eq_8(ratios: tuple[float, ...]) -> list[tuple[float, ZenerReflection]]:
-    """Compute Zener's model with eq. 8 solved numerically."""
-    return zener_over_isw(ratios, closed_form=False)
-
-
-def zener_by_closed_forms(ratios: tuple[float, ...]) -> list[tuple[float, ZenerReflection]]:
-    """Compute Zener's model with eqs 10 and 12."""
-    return zener_over_isw(ratios, closed_form=True)
+    Parameters
+    ----------
+    closed_form
+        By eqs 10 and 12 instead of a numerical solution of eq. 8.
+    """
+    chain, found = ChainParameters(), list[Point]()
+    for ratio in ratios:
+        higher = replace(chain, drop_height_m=chain.drop_height_m * ratio ** (5.0 / 3.0))
+        reflection = reflect(higher, PlateParameters(), closed_form=closed_form)
+        found.append((ratio, 1e6 * reflection.tof_s, reflection.amplitude_ratio))
+    return found
 
 
 def impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[str, list[float]]:
@@ -164,21 +139,9 @@ def forces_along_the_chain(plate: PlateParameters) -> list[ForceTrace]:
     return found
 
 
-def sensor_force(chain: ChainParameters, plate: PlateParameters, depth_fraction: float) -> ForceTrace:
-    """Compute the force at the sensor."""
-    force = ShotModel(chain, plate, CorrosionParameters()).shot(depth_fraction=depth_fraction)
-    return ForceTrace(body=chain.spheres_above, time_s=force.time_s, force_n=force.force_n)
-
-
-def chain_constants(chain: ChainParameters, plate: PlateParameters) -> dict[str, float]:
-    """Return the constants of eqs 1 and 2 for `chain` on `plate`, SI units."""
-    built = build_chain(chain, plate)
-    return {
-        "sphere_stiffness": float(built.stiffness_n_per_m15[0]),
-        "plate_stiffness": float(built.stiffness_n_per_m15[-1]),
-        "impact_speed_m_per_s": built.impact_speed_m_per_s,
-        "preload_n": built.preload_n,
-    }
+def impact_speed(chain: ChainParameters, plate: PlateParameters) -> float:
+    """Return the striker's speed in m/s."""
+    return build_chain(chain, plate).impact_speed_m_per_s
 
 
 def _pulse(model: ShotModel, depth: float, drop_height_m: float) -> Pulse:
@@ -186,9 +149,7 @@ def _pulse(model: ShotModel, depth: float, drop_height_m: float) -> Pulse:
     summary = summarise(model.shot(depth_fraction=depth, drop_height_m=drop_height_m))
     return Pulse(
         depth_fraction=depth,
-        drop_height_m=drop_height_m,
         isw_peak_n=summary.isw_peak_n,
-        isw_time_us=summary.isw_time_us,
         tof_us=math.nan if summary.tof_us is None else summary.tof_us,
         amplitude_ratio=math.nan if summary.amplitude_ratio is None else summary.amplitude_ratio,
     )

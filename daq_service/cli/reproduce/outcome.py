@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import time
@@ -10,18 +11,55 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import click
 
-from daq_service.cli.reproduce.comparison import Row, tally
+from daq_service.cli.reproduce.comparison import NOT_AVAILABLE, Row, tally
 from daq_service.cli.reproduce.evidence import Evidence
-from daq_service.cli.reproduce.output import RECORD, REPORT, write_json
-from daq_service.cli.reproduce.page import Report, Section, report_page
+from daq_service.cli.reproduce.item import Item, Table
+from daq_service.cli.reproduce.output import RECORD, REPORT
 from daq_service.recording.provenance import PACKAGES
 from daq_service.shared_file import write_output
+from daq_service.web.templates import render
 
 TITLE = "The paper's evaluation, reproduced"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Section:
+    """One item in the report.
+
+    Attributes
+    ----------
+    files
+        Names of its files in the same folder.
+    png
+        The figure; empty where there is none.
+    table
+        Shown in full where there is no figure.
+    trouble
+        Why it could not be made; empty where it was.
+    """
+
+    item: Item
+    files: Sequence[str] = ()
+    png: bytes = b""
+    table: Table | None = None
+    rows: Sequence[Row] = ()
+    notes: Sequence[str] = ()
+    trouble: str = ""
+
+
+class Facts(TypedDict):
+    """Facts of a run; None before it has a test."""
+
+    seed: int | None
+    configuration_hash: str | None
+    test: str | None
+    data_dir: str | None
+    versions: dict[str, str]
+    machine: str
 
 
 @dataclass(slots=True)
@@ -30,9 +68,9 @@ class Outcome:
 
     out: Path
     started_s: float
-    facts: dict[str, Any]
+    facts: Facts
     sections: list[Section] = field(default_factory=list)
-    slips: list[dict[str, str]] = field(default_factory=list)
+    slips: list[dict[str, object]] = field(default_factory=list)
 
     @property
     def rows(self) -> list[Row]:
@@ -40,7 +78,7 @@ class Outcome:
         return [row for section in self.sections for row in section.rows]
 
 
-def versions() -> dict[str, Any]:
+def versions() -> Facts:
     """Return the facts of a run before it has a test."""
     return {
         "seed": None,
@@ -55,9 +93,9 @@ def versions() -> dict[str, Any]:
     }
 
 
-def facts_of_test(test: Evidence) -> dict[str, Any]:
-    """Return the facts of a test."""
-    return {
+def add_test(facts: Facts, test: Evidence) -> None:
+    """Add the facts of a test."""
+    facts |= {
         "seed": test.seed,
         "configuration_hash": test.configuration_hash,
         "test": f"{test.name}: {test.counts['sets']} sets to hour {test.last_h:g}, {test.counts['shots']} "
@@ -75,18 +113,18 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
     names
         Of the items that were wanted; those that are not made are named as missing.
     """
-    finished = {section.name for section in run.sections}
+    finished = {section.item.name for section in run.sections}
     missing = [name for name in names if name not in finished]
     elapsed_s = time.monotonic() - run.started_s
     counts = tally(run.rows)
-    result: dict[str, Any] = {
+    result: dict[str, object] = {
         **run.facts,
         "elapsed_s": round(elapsed_s, 3),
         "interrupted": interrupted,
         "out": str(run.out),
         "report": str(run.out / REPORT),
         "items": {
-            section.name: {"files": list(section.files), "not_available": section.trouble or None}
+            section.item.name: {"files": list(section.files), "not_available": section.trouble or None}
             for section in run.sections
         },
         "missing": missing,
@@ -116,9 +154,16 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
         remarks.append(f"Interrupted before {', '.join(missing)} could be made.")
     write_output(
         run.out / REPORT,
-        report_page(Report(title=TITLE, facts=facts, sections=run.sections, remarks=remarks)),
+        render(
+            "reproduction.html.j2",
+            title=TITLE,
+            run_facts=facts,
+            remarks=remarks,
+            sections=run.sections,
+            not_available=NOT_AVAILABLE,
+        ),
     )
-    write_json(run.out / RECORD, result)
+    write_output(run.out / RECORD, (json.dumps(result, indent=1) + "\n").encode())
     return result
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
-from collections.abc import Mapping
 from pathlib import Path
 
 from daq_service.cli.reproduce.item import Table
@@ -43,11 +41,6 @@ def prepare_output(folder: Path) -> None:
         raise StorageError(f"cannot write {folder}: {error.strerror}; choose another with --out") from error
 
 
-def write_json(path: Path, content: Mapping[str, object]) -> None:
-    """Write an object as JSON."""
-    write_output(path, (json.dumps(content, indent=1) + "\n").encode())
-
-
 def csv_bytes(table: Table) -> bytes:
     """Return comma-separated values: a header, then a line per row; missing values are empty cells.
 
@@ -56,7 +49,7 @@ def csv_bytes(table: Table) -> bytes:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(table.columns)
-    for row in zip(*table.columns.values(), strict=True):
+    for row in table.rows():
         writer.writerow([_cell(value) for value in row])
     return text.getvalue().encode()
 

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from itertools import pairwise
 
 from analysis.errors import AnalysisError
@@ -12,7 +12,8 @@ from analysis.statistics.limits import false_alarm_rate
 from daq_service.cli.reproduce import models
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product, Table
 from daq_service.cli.reproduce.model_figures import DEPTHS, STRONG_GAMMA_N_S_PER_M
-from daq_service.cli.reproduce.paper_values import TABLE_2_PRINT, printed
+from daq_service.cli.reproduce.paper_values import printed
+from daq_service.cli.reproduce.texts import TEXTS, Slip
 from simulator.chain.hertz_contact import indentation_m, sphere_on_flat_stiffness, sphere_on_sphere_stiffness
 from simulator.materials import bending_stiffness_n_m, plane_modulus_pa, shear_modulus_pa
 from simulator.parameters.chain import ChainParameters
@@ -22,7 +23,7 @@ from simulator.zener.model import amplitude_ratio, approximate_restitution
 _SPHERE, _DISK = ChainParameters(sensor="sphere"), ChainParameters(sensor="disk")
 _PLATE, _PATCH = PlateParameters(), CorrosionParameters()
 _FREE = replace(_SPHERE, damping_n_s_per_m=0.0, contact_damping_n_s_per_m=0.0, gravity_m_per_s2=0.0)
-_CONTACT_ELEMENTS_M = (1e-3, 1e-4, 1e-5)
+_WALL, _THIN = PlateParameters(model="rigid_wall"), PlateParameters(model="infinite_kirchhoff")
 _WATER_DEPTH_M = 0.3
 """About half the plate's height (half immersed); beyond some centimetres it no longer matters."""
 _WATER = LiquidParameters(depth_m=_WATER_DEPTH_M)
@@ -37,40 +38,33 @@ def _shot(chain: ChainParameters, plate: PlateParameters = _PLATE) -> Job:
     return Job(function=models.pulses_over_depth, arguments=(chain, plate, _PATCH, _PRISTINE))
 
 
-_JOBS: dict[str, Job] = {
-    "sphere": _shot(_SPHERE),
-    "disk": _shot(_DISK),
-    "sphere_undamped": _shot(_undamped(_SPHERE)),
-    "disk_undamped": _shot(_undamped(_DISK)),
-    "sphere_wall": _shot(_SPHERE, PlateParameters(model="rigid_wall")),
-    "disk_wall": _shot(_DISK, PlateParameters(model="rigid_wall")),
-    "sphere_thin": _shot(_SPHERE, PlateParameters(model="infinite_kirchhoff")),
-    "disk_thin": _shot(_DISK, PlateParameters(model="infinite_kirchhoff")),
-    "free_wall": _shot(_FREE, PlateParameters(model="rigid_wall")),
+def _on_element(size_m: float) -> Job:
+    return _shot(_DISK, replace(_PLATE, contact_element_m=size_m))
+
+
+_CANDIDATES: Mapping[str, tuple[str, Job]] = {
+    "sphere": ("sensor a sphere", _shot(_SPHERE)),
+    "disk": ("sensor two disks", _shot(_DISK)),
+    "sphere_undamped": ("sphere, no dashpots (eq. 1 as printed)", _shot(_undamped(_SPHERE))),
+    "disk_undamped": ("disks, no dashpots (eq. 1 as printed)", _shot(_undamped(_DISK))),
+    "sphere_wall": ("sphere, rigid wall", _shot(_SPHERE, _WALL)),
+    "disk_wall": ("disks, rigid wall", _shot(_DISK, _WALL)),
+    "sphere_thin": ("sphere, infinite thin plate", _shot(_SPHERE, _THIN)),
+    "disk_thin": ("disks, infinite thin plate", _shot(_DISK, _THIN)),
+    "disk_nu": ("disks, nu of the chain 0.28", _shot(replace(_DISK, poisson_ratio=0.28))),
+    "element_0.001": ("disks, contact element 1 mm", _on_element(1e-3)),
+    "element_1e-05": ("disks, contact element 0.01 mm", _on_element(1e-5)),
+}
+"""Settings compatible with the paper, and limiting cases, compared with its 319 us and 0.837."""
+_JOBS = {
+    **{name: job for name, (_, job) in _CANDIDATES.items()},
+    "element_0.0001": _on_element(1e-4),
+    "free_wall": _shot(_FREE, _WALL),
     "disk_gamma": _shot(replace(_DISK, contact_damping_n_s_per_m=STRONG_GAMMA_N_S_PER_M)),
-    "disk_nu": _shot(replace(_DISK, poisson_ratio=0.28)),
     "disk_wet": _shot(_DISK, replace(_PLATE, liquid=_WATER)),
     "disk_depths": Job(function=models.pulses_over_depth, arguments=(_DISK, _PLATE, _PATCH, DEPTHS)),
     "zener_wall": Job(function=models.zener_on_thickness, arguments=(1.0,)),
-    **{
-        f"element_{size_m:g}": _shot(_DISK, replace(_PLATE, contact_element_m=size_m))
-        for size_m in _CONTACT_ELEMENTS_M
-    },
 }
-_CANDIDATES = {
-    "sphere": "sensor a sphere",
-    "disk": "sensor two disks",
-    "sphere_undamped": "sphere, no dashpots (eq. 1 as printed)",
-    "disk_undamped": "disks, no dashpots (eq. 1 as printed)",
-    "sphere_wall": "sphere, rigid wall",
-    "disk_wall": "disks, rigid wall",
-    "sphere_thin": "sphere, infinite thin plate",
-    "disk_thin": "disks, infinite thin plate",
-    "disk_nu": "disks, nu of the chain 0.28",
-    "element_0.001": "disks, contact element 1 mm",
-    "element_1e-05": "disks, contact element 0.01 mm",
-}
-"""Settings compatible with the paper, and limiting cases, compared with its 319 us and 0.837."""
 
 
 def _one(material: Material, name: str) -> models.Pulse:
@@ -107,7 +101,7 @@ def _shear(_: Material) -> str:
 
 def _locking(material: Material) -> str:
     tof_us, ar = printed("fig12", "tof"), printed("fig12", "ar")
-    candidates = {label: _one(material, name) for name, label in _CANDIDATES.items()}
+    candidates = {label: _one(material, name) for name, (label, _) in _CANDIDATES.items()}
 
     def distance(shot: models.Pulse) -> float:
         return math.hypot(shot.tof_us / tof_us - 1.0, shot.amplitude_ratio / ar - 1.0)
@@ -123,7 +117,7 @@ def _locking(material: Material) -> str:
 def _point_load(material: Material) -> str:
     shots = [
         f"{1e3 * size_m:g} mm: {shot.tof_us:.2f} us, {shot.amplitude_ratio:.4f}"
-        for size_m in _CONTACT_ELEMENTS_M
+        for size_m in (1e-3, 1e-4, 1e-5)
         for shot in (_one(material, f"element_{size_m:g}"),)
     ]
     return f"ToF and AR with the element at the contact of {'; '.join(shots)}: no convergence"
@@ -174,13 +168,13 @@ def _thresholds(material: Material) -> str:
 
 
 def _row_5(_: Material) -> str:
-    rounded_e = float(TABLE_2_PRINT[5][5])
+    rounded_e = printed("table2", "restitution_5")
     row = models.zeners_table()[4]
     return (
         f"lambda is {row.inelasticity:.3f}; the printed AR is that of the rounded e, {rounded_e:g}^1.2 = "
         f"{amplitude_ratio(rounded_e):.3f}; by the rule of the other rows it is {row.amplitude_ratio:.3f}, "
         "and from the printed lambda "
-        f"{amplitude_ratio(approximate_restitution(float(TABLE_2_PRINT[5][4]))):.3f}"
+        f"{amplitude_ratio(approximate_restitution(printed('table2', 'inelasticity_5'))):.3f}"
     )
 
 
@@ -242,80 +236,24 @@ def _nothing(_: Material) -> str:
     return "nothing to compute"
 
 
-@dataclass(frozen=True, slots=True)
-class Slip:
-    """One slip: the printed text, the correct one, and the function of our finding."""
-
-    where: str
-    prints: str
-    right: str
-    finding: Callable[[Material], str]
-
-
-SLIPS = (
-    Slip(
-        "eq. 1",
-        "dashpot gamma d_dot [d]_+",
-        "its unit is N m; meant is gamma d_dot while in contact",
-        _dashpot,
-    ),
-    Slip("eq. 2, i = N", "the bracket as it stands", "the bracket to the power -1", _bracket),
-    Slip("eq. 5", "E / (1 + nu)", "the shear modulus E / (2 (1 + nu))", _shear),
-    Slip(
-        "section 3; figures 12, 13",
-        "5 x 5 Gauss points on 4-node plate elements; 319 us with AR 0.837",
-        "such elements lock where they are larger than the thickness",
-        _locking,
-    ),
-    Slip(
-        "section 3",
-        "a finer mesh changes nothing",
-        "the deflection under a point load on a Mindlin plate grows with the logarithm of the mesh",
-        _point_load,
-    ),
-    Slip("figure 13(b)", "AR decreases as the depth increases", "AR is not monotonic", _not_monotonic),
-    Slip(
-        "section 4, eq. 13",
-        "the offset of eq. 13 comes from precompression and damping",
-        "eq. 13 lies above the very chain it approximates",
-        _equation_13,
-    ),
-    Slip(
-        "figure 14",
-        "limits 19.7, 17.1, 14.4 (caption) and 21.9, 15.4, 13.7 (text)",
-        "two different sets; computed here, never taken over",
-        _thresholds,
-    ),
-    Slip("Table 2, row 5", "lambda 0.273, AR 0.585", "0.272 and 0.582", _row_5),
-    Slip(
-        "section 4, figure 15",
-        "4.2 mm, about 36 % thinner; in good agreement with a core of 3.8 mm",
-        "34 %; the core is 40 % thinner",
-        _thinner,
-    ),
-    Slip("sections 2 and 3", "nu 0.28 and nu 0.3", "one of them", _poisson),
-    Slip("section 4, figure 9", "half of the acoustic energy comes back", "AR is a ratio of forces", _energy),
-    Slip("figure 12", "gamma has minor effects on the ToF", "not at 1,000 N s/m", _gamma),
-    Slip(
-        "figure 15",
-        "text: thickness on the left axis",
-        "caption: travel time on the left, thickness on the right",
-        _nothing,
-    ),
-    Slip(
-        "section 2",
-        "non-ferromagnetic stainless steel 440C",
-        "440C is martensitic and ferromagnetic",
-        _nothing,
-    ),
-    Slip("sections 2 and 3", "no liquid in any model", "the wet face carries salt solution", _salt_water),
-    Slip(
-        "section 4",
-        "AR in 'figures 9(a) and 8(b)'; ToF in 'figures 8(a), (b), 15(a) and (b)'",
-        "figure 8 shows ToF, figure 15 ultrasound",
-        _nothing,
-    ),
-)
+_FINDINGS: Mapping[str, Callable[[Material], str]] = {
+    "dashpot": _dashpot,
+    "bracket": _bracket,
+    "shear": _shear,
+    "locking": _locking,
+    "point_load": _point_load,
+    "not_monotonic": _not_monotonic,
+    "equation_13": _equation_13,
+    "thresholds": _thresholds,
+    "row_5": _row_5,
+    "thinner": _thinner,
+    "poisson": _poisson,
+    "energy": _energy,
+    "gamma": _gamma,
+    "salt_water": _salt_water,
+    "nothing": _nothing,
+}
+SLIPS = TEXTS.slips
 
 
 def make_slips(material: Material) -> Product:
@@ -332,15 +270,9 @@ def make_slips(material: Material) -> Product:
 def _finding_of(slip: Slip, material: Material) -> str:
     """Return the finding of a slip, or why there is none."""
     try:
-        return slip.finding(material)
+        return _FINDINGS[slip.finding](material)
     except NotAvailableError as error:
         return f"not available: {error}"
 
 
-SLIP_LIST = Item(
-    name="slips",
-    title="Slips of the paper",
-    shows="What the paper prints, what is right, and what our models and our test say.",
-    make=make_slips,
-    jobs=_JOBS,
-)
+SLIP_LIST = Item(name="slips", make=make_slips, jobs=_JOBS)

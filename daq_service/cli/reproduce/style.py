@@ -7,11 +7,9 @@ salt, so the same numbers give the same bytes.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -39,21 +37,14 @@ RULES: Any = {
     "svg.fonttype": "path",
     "path.simplify": True,
 }
-PAPER_LINE: dict[str, Any] = {"color": BLACK, "linestyle": (0, (5, 3)), "linewidth": 1.0}
-PAPER_MARK: dict[str, Any] = {
+PAPER_LINE: Mapping[str, Any] = {"color": BLACK, "linestyle": (0, (5, 3)), "linewidth": 1.0}
+PAPER_MARK: Mapping[str, Any] = {
     "color": BLACK,
     "marker": "D",
     "markersize": 4.5,
     "linestyle": "none",
     "zorder": 5,
 }
-
-
-@contextmanager
-def house_style() -> Iterator[None]:
-    """Apply the common style within a context, and restore matplotlib's settings afterwards."""
-    with mpl.rc_context(RULES):
-        yield
 
 
 def sheet(rows: int = 1, columns: int = 1, *, height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
@@ -76,11 +67,33 @@ def name_panels(axes: Sequence[Axes], titles: Sequence[str]) -> None:
         axis.set_title(f"({letter}) {title}")
 
 
+def panels_of_positions(
+    positions: Sequence[str], label: str, *, height_in: float
+) -> tuple[Figure, list[Axes]]:
+    """Create a panel over the hours of the test for each position."""
+    figure, axes = sheet(1, len(positions), height_in=height_in, sharex=True, sharey=True)
+    for axis in axes:
+        axis.set_xlabel("hour of the test (h)")
+    axes[0].set_ylabel(label)
+    name_panels(axes, [f"position {name}" for name in positions])
+    return figure, axes
+
+
+def legend_below(figure: Figure, *, ncols: int) -> None:
+    """Add a legend of all panels, each label once."""
+    handles = {
+        label: handle
+        for axis in figure.axes
+        for handle, label in zip(*axis.get_legend_handles_labels(), strict=True)
+    }
+    figure.legend(list(handles.values()), list(handles), loc="outside lower center", ncols=ncols)
+
+
 METADATA: Any = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "solimon"}}
 
 
 def rendered(figure: Figure, endings: Sequence[str] = tuple(METADATA)) -> dict[str, bytes]:
-    """Return PNG and SVG of a figure by file ending; call it in `house_style`."""
+    """Return PNG and SVG of a figure by file ending; call it with `RULES`."""
     pictures = {}
     for ending in endings:
         buffer = io.BytesIO()

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 
 from daq_service.cli.reproduce import item
-from daq_service.cli.reproduce.evidence import Evidence, SolitaryWaves, Trace
-from daq_service.cli.reproduce.style import BLACK, ORANGE, PURPLE, colour_of, name_panels, sheet
+from daq_service.cli.reproduce.evidence import Evidence, Series, Trace
+from daq_service.cli.reproduce.style import BLACK, ORANGE, PURPLE, colour_of, legend_below, name_panels, sheet
 
 WINDOW_US = (-60.0, 900.0)
 STEP_S = 1e-6
@@ -31,8 +30,7 @@ def draw_fig7(material: item.Material) -> item.Product:
         _waterfall(axis, test.traces[name], test.pulses[name], last_h, colour_of(name, names))
         axis.set(xlabel="time after the trigger (µs)", xlim=WINDOW_US)
     axes[0].set_ylabel("hour of the test (h)")
-    handles, labels = axes[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=3)
+    legend_below(figure, ncols=3)
     name_panels(axes, [f"position {name}" for name in names])
     return item.Product(
         drawing=figure,
@@ -48,9 +46,7 @@ def draw_fig7(material: item.Material) -> item.Product:
     )
 
 
-def _waterfall(
-    axis: Axes, traces: Sequence[Trace], pulses: SolitaryWaves, last_h: float, colour: str
-) -> None:
+def _waterfall(axis: Axes, traces: Sequence[Trace], pulses: Series, last_h: float, colour: str) -> None:
     """Draw the averaged records of a position and the times of their features."""
     spacing_h = last_h / max(len(traces), 2)
     height_v = max(float(np.ptp(trace.volts)) for trace in traces) or 1.0
@@ -89,11 +85,12 @@ def _table(traces: Sequence[Trace]) -> item.Table:
     """Return all traces of a position at the times of the first one; shorter ones are padded."""
     first = traces[0].time_s
     every = _every(traces[0])
-    columns: dict[str, list[Any]] = {"time_s": [round(float(t), 9) for t in first[::every]]}
+    times_s = [round(float(t), 9) for t in first[::every]]
+    columns: dict[str, Sequence[object]] = {"time_s": times_s}
     for trace in traces:
-        values: list[Any] = [round(float(v), 6) for v in trace.volts[::every]][: len(columns["time_s"])]
-        values += [None] * (len(columns["time_s"]) - len(values))
-        columns[f"set_{trace.set_index}_hour_{trace.hour_h:g}_v"] = values
+        volts = [round(float(v), 6) for v in trace.volts[::every][: len(times_s)]]
+        padding = [None] * (len(times_s) - len(volts))
+        columns[f"set_{trace.set_index}_hour_{trace.hour_h:g}_v"] = [*volts, *padding]
     return item.Table(columns=columns)
 
 
@@ -121,17 +118,10 @@ def _change(test: Evidence, position: str) -> item.Found:
     hour = test.pulses[position].first_alarm_h
     if hour is None:
         return item.missing(f"no alarm about the wall at {position} up to hour {test.last_h:g}")
-    rule = test.configuration.get("alarms", {})
-    by_chart = rule.get("decides_by") == "chart"
-    rule_text = "the chart" if by_chart else f"{rule.get('k')} of {rule.get('n')} sets beyond the limit"
+    rule = test.settings.alarms
+    by_chart = rule.decides_by == "chart"
+    rule_text = "the chart" if by_chart else f"{rule.k} of {rule.n} sets beyond the limit"
     return item.found(hour, f"first alarm ({rule_text})")
 
 
-FIG7 = item.Item(
-    name="fig7",
-    title="Figure 7. Solitary waves over the test",
-    shows="Mean record of a set at each transducer, lifted to its hour; marks are the times of ISW, PSW and "
-    "SSW in the catalogue. Where no PSW is marked, none came back.",
-    make=draw_fig7,
-    needs_test=True,
-)
+FIG7 = item.Item(name="fig7", make=draw_fig7, needs_test=True)

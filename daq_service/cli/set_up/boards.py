@@ -13,7 +13,7 @@ from daq_service.cli.set_up.transducers import Contents, Flags, positions_table
 from daq_service.cli.set_up.values import REMEDIES, assess_strikes
 from daq_service.cli.set_up.wiring import coil_counters, home_terminal, inputs_of, wiring_of
 from daq_service.errors import UsageError
-from daq_service.settings.stored import KeyPath, Tables
+from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.daqmx.parameters import TransducerWiring
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE

@@ -21,46 +21,13 @@ from daq_service.processes.printing import print_result
 from daq_service.settings.commented import commented_toml, switched_on
 from daq_service.settings.file import checked_settings, config_file, placeholders
 from daq_service.settings.schema import settings_schema
-from daq_service.settings.stored import KeyPath, Tables, flattened, nested, stored_settings
+from daq_service.settings.stored import stored_settings
+from daq_service.settings.tables import KeyPath, Tables, flattened, nested
 from daq_service.settings.tree import Settings
 from hardware_drivers.playback.parameters import TdmsMapping
 
 SCHEMA = "settings.schema.json"
 OF_THE_TWIN = ("chain", "plate", "corrosion", "twin")
-HEADS = {
-    "twin": """
-A test on the physics twin: the experiment of "Highly nonlinear solitary waves for the detection of localized
-corrosion". Every key of it stands here; config/simulated.toml gives the sources of its values.
-
-solimon check-config FILE   says what it will do
-solimon run FILE            runs it""",
-    "playback": """
-A recording takes the place of the instruments. Positions, schedule and shots of a set must be those of the
-recording: docs/how-to/play-back-recorded-shots.md.
-
-solimon check-config FILE   says what it will do
-solimon run FILE            plays it""",
-    "rig": """
-The paper's experiment on real instruments: solitary-wave transducers B, C, D on one PXIe-6386, the ultrasonic
-probe A on a PXI(e)-5122, a 10 V supply on a serial line, and the wall clock.
-
-Replace every PLACEHOLDER: `solimon check-config FILE` lists those that are left, and nothing runs before.
-Other values are the paper's, or assumptions: measure yours. In this order: docs/how-to/wire-the-rig.md (other
-boards, too), be-safe.md, install-the-ni-driver.md, day-one.md.
-
-Take out the tables of what you do not have. A line that begins with a `#` right before a key or a table is
-switched off; take the `#` away to switch it on.
-
-Instruments of other makers, or boards that only strike or only digitize: rig.kind = "mixed", told in
-docs/reference/configuration.md.""",
-}
-"""What a person reads first, by the kind of file."""
-SET_UP = """Written by `solimon setup` for {instruments}.
-{struck}
-
-solimon check-config FILE   says what it will do
-solimon doctor FILE         looks at rig, folder and computer once more; then docs/how-to/day-one.md
-solimon run FILE            runs it"""
 
 
 def write_configuration(
@@ -85,7 +52,7 @@ def write_configuration(
     if not missing:
         settings_of(values, off, file)
     schema = refuse_what_is_there(file)
-    write_file(file, values, head=HEADS[kind].strip(), off=off)
+    write_file(file, values, head=_head(kind), off=off)
     keys = [".".join(key) for key in missing]
     result = {"kind": kind, "file": str(file), "schema": str(schema), "placeholders": keys}
     fill_in = [f"to fill in: {key}" for key in keys]
@@ -192,6 +159,11 @@ def _is_in(key: KeyPath, tables: Collection[KeyPath]) -> bool:
 # Files -----------------------------------------------------------------------------------------------
 
 
+def _head(name: str) -> str:
+    """Return what a person reads first in a kind of file."""
+    return (Path(__file__).parent / "heads" / f"{name}.txt").read_text(encoding="utf-8").rstrip()
+
+
 def head_of(instruments: Collection[str], struck: Collection[str]) -> str:
     """Return the head of a file of `solimon setup`: instruments and strikes."""
     sentence = (
@@ -199,7 +171,7 @@ def head_of(instruments: Collection[str], struck: Collection[str]) -> str:
         if struck
         else "Nothing was struck: range, level and holdoff are a guess."
     )
-    return SET_UP.format(instruments=", ".join(sorted(instruments)), struck=sentence)
+    return _head("setup").format(instruments=", ".join(sorted(instruments)), struck=sentence)
 
 
 def refuse_what_is_there(file: Path) -> Path:

@@ -21,7 +21,7 @@ from daq_service.cli.set_up.init import head_of, laboratory, settings_of
 from daq_service.cli.set_up.transducers import Contents, Flags, positions_table
 from daq_service.errors import BusyError, RigError, UsageError
 from daq_service.settings.instruments import configured, plain
-from daq_service.settings.stored import KeyPath, Tables
+from daq_service.settings.tables import KeyPath, Tables
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.kinds import Role

@@ -11,7 +11,7 @@ from typing import TypeVar
 from daq_service.cli.doctor.check import stamp_now
 from daq_service.cli.set_up.dialogue import Dialogue, Question
 from daq_service.cli.set_up.init import laboratory
-from daq_service.settings.stored import KeyPath, Tables
+from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
 from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters

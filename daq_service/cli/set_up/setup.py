@@ -23,7 +23,7 @@ from daq_service.cli.set_up.transducers import Flags, Instruments, set_up_transd
 from daq_service.cli.set_up.wiring import board_in_words
 from daq_service.cli.terminal import open_page
 from daq_service.errors import BusyError, RigError, UsageError
-from daq_service.settings.stored import KeyPath, Tables
+from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers import errors as driver_errors
 
 if TYPE_CHECKING:

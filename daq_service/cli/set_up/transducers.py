@@ -10,7 +10,7 @@ from analysis.errors import AnalysisError
 from daq_service.cli.set_up.dialogue import Dialogue, Question
 from daq_service.cli.set_up.init import laboratory
 from daq_service.errors import BusyError, UsageError
-from daq_service.settings.stored import KeyPath, Tables
+from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
 
 Contents = tuple[Tables, set[KeyPath], str]

@@ -6,7 +6,6 @@ import logging
 import time
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.evidence import baseline_doubts
@@ -37,7 +36,7 @@ from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.lost_catalogue import lost_reason
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import read_recorder_state
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import ScheduleSettings, Settings
 from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -77,7 +76,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 "held": catalogue.held(),
                 "orders": _open_orders(catalogue),
                 "counts": counts,
-                "next_due_h": _next_due_h(settings, counts["sets"] + counts["missed_sets"]),
+                "next_due_h": _next_due_h(settings.schedule, counts["sets"] + counts["missed_sets"]),
                 "gaps": _gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
                 "lost": _lost_rows(folder, catalogue) | lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
                 "confirmations": _confirmations(catalogue, settings, fresh),
@@ -151,11 +150,11 @@ def _newest_rows(latest: LatestRows) -> dict[str, object]:
 
 def _present_state(
     folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LatestRows
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Return what changes with time: state, age, limits, the interval of a thickness."""
     data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
-    chart = deciding_chart(last.last_assessment, settings)
+    chart = deciding_chart(last.last_assessment, settings.alarms)
     return {
         "state": status_of(last),
         "age_h": age_h,
@@ -180,7 +179,7 @@ def _rate_of(row: BaselineRow | None) -> dict[str, object] | None:
     }
 
 
-def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, Any]:
+def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, object]:
     """Return the number of confirmation sets, the newest result, and how many are left today."""
     rows = catalogue.rows(SetRow, purpose="confirmation")
     newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
@@ -201,13 +200,13 @@ def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -
     }
 
 
-def _next_due_h(settings: Settings, done: int) -> float | None:
+def _next_due_h(schedule: ScheduleSettings, done: int) -> float | None:
     """Return the hour of the first set without rows; None if every scheduled set has its own."""
-    hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)[done:]
+    hours = due_hours(schedule.phases, end_h=schedule.end_h)[done:]
     return hours[0] if hours else None
 
 
-def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
+def _open_orders(catalogue: Catalogue) -> list[dict[str, object]]:
     """Return the commands that wait for the recorder or are executed; not the expired ones."""
     waiting = catalogue.rows(CommandRow, states={"pending", "started"})
     commands_with_time = [(row, remaining_now_s(row)) for row in waiting]
@@ -219,11 +218,11 @@ def _open_orders(catalogue: Catalogue) -> list[dict[str, Any]]:
     ]
 
 
-def _gaps(catalogue: Catalogue) -> list[dict[str, Any]]:
+def _gaps(catalogue: Catalogue) -> list[dict[str, object]]:
     """Return the newest incomplete sets with positions and causes."""
-    found: dict[tuple[int, str, str | None], dict[str, Any]] = {}
+    found: dict[tuple[int, str, str | None, float], list[str]] = {}
     for row in catalogue.newest_gaps(GAPS_A_POSITION):
-        gap = {"set_index": row.set_index, "due_h": row.due_h, "state": row.state, "cause": row.cause}
-        key = (row.set_index, row.state, row.cause)
-        found.setdefault(key, {**gap, "positions": []})["positions"].append(row.position)
-    return [found[key] for key in sorted(found, key=lambda key: key[0])][-GAPS_A_POSITION:]
+        found.setdefault((row.set_index, row.state, row.cause, row.due_h), []).append(row.position)
+    names = ("set_index", "state", "cause", "due_h", "positions")
+    newest = sorted(found.items(), key=lambda item: item[0][0])[-GAPS_A_POSITION:]
+    return [dict(zip(names, (*gap, positions), strict=True)) for gap, positions in newest]

@@ -20,6 +20,8 @@ from daq_service.clock import format_utc
 from daq_service.processes.disk_policy import LEVELS
 from daq_service.settings.foreign_text import all_in_one_line, in_one_line
 
+Facts = Mapping[str, Any]
+"""Part of the status as JSON (`facts.describe_status`)."""
 STYLES = {
     "alarm": "bold red",
     "disabled": "bold red",
@@ -46,7 +48,7 @@ LARGEST_IN_FULL = 1e4
 """Larger distances are shown in powers of ten."""
 
 
-def picture(facts: Mapping[str, Any], folder: str) -> RenderableType:
+def picture(facts: Facts, folder: str) -> RenderableType:
     """Compose the complete output from `facts.describe_status`."""
     facts, folder = all_in_one_line(facts), in_one_line(folder)
     head = Table.grid(padding=(0, 2, 0, 0))
@@ -61,7 +63,7 @@ def picture(facts: Mapping[str, Any], folder: str) -> RenderableType:
     return Group(*parts)
 
 
-def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str]]:
+def _head(facts: Facts, folder: str) -> Iterator[tuple[str, str, str]]:
     """Yield name, text and style of each line."""
     yield "data", folder, ""
     yield "recorder", facts["recorder"], STYLES[facts["recorder_state"]]
@@ -116,7 +118,7 @@ def _head(facts: Mapping[str, Any], folder: str) -> Iterator[tuple[str, str, str
     yield "alarms", f"{len(facts['alarms']) - apart or 'none'}{suppressed}", ""
 
 
-def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
+def _baselines(positions: Mapping[str, Facts]) -> Iterator[str]:
     """Yield the design false-alarm rates of the baselines, equal ones in one line."""
     alike: dict[str, list[str]] = {}
     for name, row in positions.items():
@@ -134,7 +136,7 @@ def _baselines(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[str]:
     yield from (f"{', '.join(names)}: {text}" for text, names in alike.items())
 
 
-def _assessments(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+def _assessments(positions: Mapping[str, Facts]) -> Iterator[tuple[str, str]]:
     """Yield the diagnosis of each position's newest set that differs from the baseline."""
     for name, row in positions.items():
         assessment = row["last_assessment"]
@@ -147,7 +149,7 @@ def _assessments(positions: Mapping[str, Mapping[str, Any]]) -> Iterator[tuple[s
         yield f"{name}, set {assessment['set_index']}: {sentence}", style
 
 
-def _confirmations(facts: Mapping[str, Any]) -> str:
+def _confirmations(facts: Facts) -> str:
     """Return the number of confirmation sets, the newest result, and how many are left today."""
     remaining = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
     last = facts["last"]
@@ -155,7 +157,7 @@ def _confirmations(facts: Mapping[str, Any]) -> str:
     return f"{facts['sets'] or 'no'} sets beside the plan; left for suspicion today: {remaining}{last_text}"
 
 
-def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+def _gaps(gaps: Sequence[Facts]) -> Iterator[str]:
     """Yield adjacent gaps of one cause in one line."""
     for (state, cause, where), group in groupby(
         gaps, key=lambda gap: (gap["state"], gap["cause"], ", ".join(gap["positions"]))
@@ -170,7 +172,7 @@ def _gaps(gaps: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         yield f"{names} {state} at {where}, hour {last['due_h']:g}: {cause}"
 
 
-def disk_text(disk: Mapping[str, Any]) -> str:
+def disk_text(disk: Facts) -> str:
     """Return free space, needed space, and when the disk will be full."""
     level = {"ample": "", "stop": "; nothing more is stored until some is freed"}.get(disk["level"], "; low")
     needed = disk["needed_bytes"]
@@ -186,7 +188,7 @@ def _table(*columns: str) -> Table:
     return table
 
 
-def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
+def _positions(positions: Mapping[str, Facts]) -> Table:
     """Return the table of positions."""
     table = _table("position", "state", "result", "limit", "chart", "quality", "age", "last set")
     for name, row in positions.items():
@@ -206,7 +208,7 @@ def _positions(positions: Mapping[str, Mapping[str, Any]]) -> Table:
     return table
 
 
-def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
+def _result(row: Facts) -> tuple[str, str, str]:
     """Return result, limit and quality of a position's newest data, by its method."""
     echo, feature, assessment = row["last_thickness"], row["last_feature"], row["last_assessment"]
     if echo is not None:
@@ -229,12 +231,12 @@ def _result(row: Mapping[str, Any]) -> tuple[str, str, str]:
     return ", ".join(texts) or "-", limit, f"{feature['quality']}, n = {feature['n_valid']}"
 
 
-def _of_the_same_set(feature: Mapping[str, Any] | None, assessment: Mapping[str, Any] | None) -> bool:
+def _of_the_same_set(feature: Facts | None, assessment: Facts | None) -> bool:
     """Return whether an assessment belongs to the set of these features."""
     return feature is not None and assessment is not None and assessment["set_index"] == feature["set_index"]
 
 
-def _chart(row: Mapping[str, Any]) -> str:
+def _chart(row: Facts) -> str:
     """Return the statistic and the limit of the control chart."""
     chart = row["chart"]
     if chart is None or not _of_the_same_set(row["last_feature"], row["last_assessment"]):
@@ -242,14 +244,14 @@ def _chart(row: Mapping[str, Any]) -> str:
     return f"{chart['statistic']:.1f} of {chart['limit']:.1f}"
 
 
-def _what_now(alarms: Sequence[Mapping[str, Any]]) -> Iterator[Text]:
+def _what_now(alarms: Sequence[Facts]) -> Iterator[Text]:
     """Yield the first checks for each kind of active alarm."""
     for kind in dict.fromkeys(row["kind"] for row in alarms if row["suppressed"] is None):
         if kind in GUIDANCE:
             yield Text(f"{kind}: look first: {in_order(GUIDANCE[kind].checks)}")
 
 
-def _state_of_alarm(row: Mapping[str, Any]) -> str:
+def _state_of_alarm(row: Facts) -> str:
     """Return the state of an alarm, with end and reason of a suppression."""
     state: str = row["state"].replace("_", " ")
     if row["suppressed"] is None:
@@ -259,7 +261,7 @@ def _state_of_alarm(row: Mapping[str, Any]) -> str:
     return f"{state}, {text} by {row['suppressed_by']}: {row['suppressed_reason']}"
 
 
-def _alarms(alarms: Sequence[Mapping[str, Any]]) -> Table:
+def _alarms(alarms: Sequence[Facts]) -> Table:
     """Return the table of alarms."""
     table = _table("alarm", "priority", "where", "state", "age", "what")
     for row in alarms:

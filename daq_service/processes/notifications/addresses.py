@@ -38,22 +38,16 @@ def address_of(name: str, receiver: ReceiverSettings, environment: Mapping[str, 
     url = receiver.url or _configured_text(name, "url", receiver.url_file, receiver.url_env, environment)
     if receiver.kind == "apprise":
         if find_spec("apprise") is None:
-            raise UsageError(
-                _receiver_error(name, 'e-mail and chat need the extra: pip install "solimon[notify]"')
-            )
+            raise _invalid(name, 'e-mail and chat need the extra: pip install "solimon[notify]"')
         if not _SCHEME.match(url.lower()):
-            raise UsageError(
-                _receiver_error(name, "the address is none of apprise; give one like mailtos://...")
-            )
+            raise _invalid(name, "the address is none of apprise; give one like mailtos://...")
         return Address(url, b"")
     if refusal := refused_address(url, plain_http=receiver.plain_http):
-        raise UsageError(_receiver_error(name, f"the address is refused: {refusal}"))
+        raise _invalid(name, f"the address is refused: {refusal}")
     secret = _configured_text(name, "secret", receiver.secret_file, receiver.secret_env, environment)
     if len(secret) < SHORTEST_SECRET:
-        raise UsageError(
-            _receiver_error(
-                name, f"the secret has {len(secret)} characters; give one of {SHORTEST_SECRET} or more"
-            )
+        raise _invalid(
+            name, f"the secret has {len(secret)} characters; give one of {SHORTEST_SECRET} or more"
         )
     return Address(url, secret.encode())
 
@@ -93,22 +87,18 @@ def _configured_text(name: str, key: str, file: str, variable: str, environment:
         text = environment.get(variable, "").strip()
         if not text:
             problem = f"the variable {variable} of {key}_env is not set; set it for the web service"
-            raise UsageError(_receiver_error(name, problem))
+            raise _invalid(name, problem)
         return text
     try:
         text = read_shared(Path(file)).decode().strip()
     except OSError as error:
-        raise UsageError(
-            _receiver_error(name, f"{key}_file {file} cannot be read: {error.strerror}")
-        ) from error
+        raise _invalid(name, f"{key}_file {file} cannot be read: {error.strerror}") from error
     except UnicodeDecodeError:
-        raise UsageError(
-            _receiver_error(name, f"{key}_file {file} is not UTF-8 text; save it as such")
-        ) from None
+        raise _invalid(name, f"{key}_file {file} is not UTF-8 text; save it as such") from None
     if not text or len(text.splitlines()) != 1:
-        raise UsageError(_receiver_error(name, f"{key}_file {file} must hold exactly one line"))
+        raise _invalid(name, f"{key}_file {file} must hold exactly one line")
     return text
 
 
-def _receiver_error(name: str, problem: str) -> str:
-    return f"notifications.receivers.{name}: {problem}"
+def _invalid(name: str, problem: str) -> UsageError:
+    return UsageError(f"notifications.receivers.{name}: {problem}")

@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import asdict, dataclass
+from typing import Literal, TypedDict
 from urllib.parse import urlencode
 
 import orjson
@@ -31,6 +31,8 @@ CHANGES: Mapping[str, ChangeKind] = {
     "alarm_cleared": "over",
     "alarm_reset": "over",
 }
+REWORDED = {"wall_utc_ns", "changed_utc_ns", "evidence"}
+"""Fields of a change that its message states in another form."""
 _CHANGE_TEXTS: Mapping[ChangeKind, str] = {
     "raised": "has come",
     "worse": "has become worse",
@@ -125,7 +127,7 @@ class Message:
     kind: Literal["alarm", "heartbeat", "test"]
     title: str
     text: str
-    facts: Mapping[str, Any]
+    facts: Mapping[str, object]
 
     def encoded(self) -> bytes:
         """Return the body of a webhook as JSON."""
@@ -154,7 +156,7 @@ def alarm_message(
     """
     shown = [_alarm_facts(test, item, qualities.get(item.event_id), now_ns) for item in changes[:MOST_LISTED]]
     not_shown = changes[MOST_LISTED:]
-    paragraphs = [item["text"] for item in shown]
+    paragraphs = [str(item["text"]) for item in shown]
     if not_shown:
         paragraphs.append(f"And {len(not_shown)} more: {_counts_text(not_shown)}.")
     highest_priority = max((item.priority for item in changes), key=PRIORITIES.index)
@@ -180,7 +182,16 @@ def alarm_message(
     )
 
 
-def heartbeat_message(test: Test, receiver: str, facts: Mapping[str, Any], *, now_ns: int) -> Message:
+class HeartbeatFacts(TypedDict):
+    """Status of the recorder; ages of the last set (h of the test) and of the last write (s)."""
+
+    recorder: str
+    doing: str
+    last_set_age_h: float | None
+    last_write_age_s: float | None
+
+
+def heartbeat_message(test: Test, receiver: str, facts: HeartbeatFacts, *, now_ns: int) -> Message:
     """Return a heartbeat message; ``facts`` are those of `source.Source.read_heartbeat_facts`."""
     age_h = facts["last_set_age_h"]
     last_set_text = (
@@ -220,7 +231,7 @@ def _counts_text(changes: Sequence[AlarmChange]) -> str:
     return ", ".join(f"{counts[pair]} {pair[0]} {pair[1]}" for pair in order)
 
 
-def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int) -> dict[str, Any]:
+def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int) -> dict[str, object]:
     age_s = max(0.0, (now_ns - item.wall_utc_ns) / NS_PER_S)
     at_set = "" if item.set_key is None else f", set {item.set_key}, quality {quality or 'unknown'}"
     sentences = [
@@ -234,17 +245,8 @@ def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int
         sentences.append(f"Look first: {guidance.short if guidance else 'see the alarm and its evidence.'}")
     link = _link(test, item)
     return {
-        "event_id": item.event_id,
-        "alarm_id": item.alarm_id,
-        "change": item.change,
-        "position": item.position,
-        "kind": item.kind,
-        "priority": item.priority,
-        "message": item.message,
-        "set_index": item.set_index,
-        "unscheduled_index": item.unscheduled_index,
+        **{name: value for name, value in asdict(item).items() if name not in REWORDED},
         "quality": quality,
-        "raised_h": item.raised_h,
         "changed_utc": format_utc(item.changed_utc_ns, 0),
         "age_s": age_s,
         "link": link,

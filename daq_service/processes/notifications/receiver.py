@@ -14,16 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from daq_service.errors import BusyError, UsageError
+from daq_service.processes.notifications import messages
 from daq_service.processes.notifications.delivery_log import Delivery, DeliveryKind, DeliveryLog, Progress
-from daq_service.processes.notifications.messages import (
-    AlarmChange,
-    Message,
-    alarm_change_of,
-    alarm_message,
-    heartbeat_message,
-    key_of,
-    trial_message,
-)
 from daq_service.processes.notifications.rules import WaitingChanges, rule_of
 from daq_service.processes.notifications.source import Source
 from daq_service.processes.notifications.webhook import Outcome
@@ -43,7 +35,7 @@ MOST_REFUSALS = 5
 DEAD_AFTER_S = 600.0
 """A receiver that accepts nothing for this time is shown as a warning."""
 
-Send = Callable[[Message], Outcome]
+Send = Callable[[messages.Message], Outcome]
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -70,10 +62,14 @@ class State:
 class _OpenMessage:
     """Message in progress."""
 
-    changes: Sequence[AlarmChange]
+    changes: Sequence[messages.AlarmChange]
     key: str
     attempts: int = 0
     next_s: float = 0.0
+
+    @property
+    def event_ids(self) -> list[int]:
+        return [change.event_id for change in self.changes]
 
 
 class ReceiverQueue:
@@ -159,10 +155,11 @@ class ReceiverQueue:
         if not self._test_lock.acquire(blocking=False):
             raise BusyError(f"a trial of {self.name} is under way; wait for its result")
         try:
-            message = trial_message(self._source.test(), self.name, author, now_ns=self._now_ns())
+            message = messages.trial_message(self._source.test(), self.name, author, now_ns=self._now_ns())
             outcome = self._attempt(self._send_test, message)
             kind: DeliveryKind = "tested" if outcome.ok else "test_failed"
-            self._log_delivery(kind, outcome.description, key=message.key, attempts=1, with_progress=False)
+            attempt = _OpenMessage(changes=(), key=message.key, attempts=1)
+            self._log_delivery(kind, outcome.description, message=attempt, with_progress=False)
             return outcome
         finally:
             self._test_lock.release()
@@ -180,7 +177,7 @@ class ReceiverQueue:
             assert row.id is not None, "it is stored"
             self._last_read_id = row.id
             try:
-                change = alarm_change_of(row)
+                change = messages.alarm_change_of(row)
             except (KeyError, TypeError, ValueError, AttributeError):
                 log.exception("event %s cannot be read and is not sent", row.id)
                 change = None
@@ -204,7 +201,7 @@ class ReceiverQueue:
         if skipped_ids and not not_sent_ids and not outdated_ids:
             self._log_delivery("passed", "not for this receiver", skipped_ids)
 
-    def _is_too_old(self, change: AlarmChange) -> bool:
+    def _is_too_old(self, change: messages.AlarmChange) -> bool:
         return self._now_ns() - change.wall_utc_ns > self._settings.give_up_h * NS_PER_H
 
     # Outgoing messages
@@ -216,43 +213,34 @@ class ReceiverQueue:
                 return
             self._waiting.remove(changes)
             self._current = self._new_message(changes)
-            self._log_delivery("sending", "", [item.event_id for item in changes], key=self._current.key)
-        open_message = self._current
-        if self._mono_s() < open_message.next_s:
+            self._log_delivery("sending", "", message=self._current)
+        current = self._current
+        if self._mono_s() < current.next_s:
             return
-        event_ids = [item.event_id for item in open_message.changes]
-        outcome = self._attempt(self._send, self._message(open_message.changes))
-        open_message.attempts += 1
+        outcome = self._attempt(self._send, self._message(current.changes))
+        current.attempts += 1
         if outcome.ok:
-            self._finish_sent(open_message, event_ids, outcome)
+            self._close(current)
+            self.state.sent += 1
+            self.state.last_sent_utc_ns = self._now_ns()
+            self.state.failing_since_utc_ns = None
+            self._log_delivery("sent", outcome.description, message=current)
             return
         self._count_failure(outcome)
-        if outcome.refused and open_message.attempts >= MOST_REFUSALS:
-            self._close(event_ids)
-            self._give_up(event_ids, f"refused {open_message.attempts} times: {outcome.description}")
-        elif any(map(self._is_too_old, open_message.changes)):
-            self._close(event_ids)
-            self._give_up(
-                event_ids, f"not delivered within {self._settings.give_up_h:g} h: {outcome.description}"
-            )
+        if outcome.refused and current.attempts >= MOST_REFUSALS:
+            self._close(current)
+            self._give_up(current.event_ids, f"refused {current.attempts} times: {outcome.description}")
+        elif any(map(self._is_too_old, current.changes)):
+            self._close(current)
+            late = f"not delivered within {self._settings.give_up_h:g} h: {outcome.description}"
+            self._give_up(current.event_ids, late)
         else:
-            if open_message.attempts == 1:
-                self._log_delivery(
-                    "failing", outcome.description, event_ids, key=open_message.key, attempts=1
-                )
-            pause_s = min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(open_message.attempts - 1, 20))
+            if current.attempts == 1:
+                self._log_delivery("failing", outcome.description, message=current)
+            pause_s = min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(current.attempts - 1, 20))
             pause_s = max(outcome.retry_after_s, pause_s * (0.5 + self._random_fraction()))
-            open_message.next_s = self._mono_s() + pause_s
+            current.next_s = self._mono_s() + pause_s
             self.state.next_attempt_utc_ns = self._now_ns() + round(pause_s * NS_PER_S)
-
-    def _finish_sent(self, open_message: _OpenMessage, event_ids: list[int], outcome: Outcome) -> None:
-        self._close(event_ids)
-        self.state.sent += 1
-        self.state.last_sent_utc_ns = self._now_ns()
-        self.state.failing_since_utc_ns = None
-        self._log_delivery(
-            "sent", outcome.description, event_ids, key=open_message.key, attempts=open_message.attempts
-        )
 
     def _count_failure(self, outcome: Outcome) -> None:
         self.state.failed += 1
@@ -261,8 +249,8 @@ class ReceiverQueue:
             self.state.failing_since_utc_ns = self._now_ns()
             log.warning("notifications do not reach %s, tried again: %s", self.name, outcome.description)
 
-    def _close(self, event_ids: list[int]) -> None:
-        self._settled |= set(event_ids)
+    def _close(self, message: _OpenMessage) -> None:
+        self._settled |= set(message.event_ids)
         self._current = None
         self.state.next_attempt_utc_ns = None
 
@@ -271,17 +259,17 @@ class ReceiverQueue:
         log.error("notifications for %s are given up: %s", self.name, description)
         self._log_delivery("gave_up", description, event_ids)
 
-    def _message(self, changes: Sequence[AlarmChange]) -> Message:
+    def _message(self, changes: Sequence[messages.AlarmChange]) -> messages.Message:
         qualities = self._source.qualities(changes)
-        return alarm_message(self._source.test(), self.name, changes, qualities, now_ns=self._now_ns())
-
-    def _new_message(self, changes: Sequence[AlarmChange]) -> _OpenMessage:
-        return _OpenMessage(
-            changes=changes,
-            key=key_of(self._source.test(), self.name, [change.event_id for change in changes]),
+        return messages.alarm_message(
+            self._source.test(), self.name, changes, qualities, now_ns=self._now_ns()
         )
 
-    def _attempt(self, send: Send, message: Message) -> Outcome:
+    def _new_message(self, changes: Sequence[messages.AlarmChange]) -> _OpenMessage:
+        key = messages.key_of(self._source.test(), self.name, [change.event_id for change in changes])
+        return _OpenMessage(changes=changes, key=key)
+
+    def _attempt(self, send: Send, message: messages.Message) -> Outcome:
         try:
             return send(message)
         except UsageError as error:  # a secret that is missing now: it may come back
@@ -302,7 +290,7 @@ class ReceiverQueue:
         if facts["recorder"] in ("not_responding", "not_started"):
             self._report_heartbeat("withheld", f"the recorder is {facts['recorder']}: {facts['doing']}")
             return
-        message = heartbeat_message(self._source.test(), self.name, facts, now_ns=now_ns)
+        message = messages.heartbeat_message(self._source.test(), self.name, facts, now_ns=now_ns)
         outcome = self._attempt(self._send, message)
         if outcome.ok:
             self.state.last_heartbeat_utc_ns = now_ns
@@ -329,14 +317,14 @@ class ReceiverQueue:
 
     def _resume(self, event_ids: list[int]) -> None:
         """Restore a message that a crash may have interrupted before its result was logged."""
-        all_changes = [alarm_change_of(row) for row in self._source.events(event_ids)]
+        all_changes = [messages.alarm_change_of(row) for row in self._source.events(event_ids)]
         changes = [item for item in all_changes if item is not None]
         if changes:
             self._current = self._new_message(changes)
             self._settled |= set(event_ids)  # not read a second time
 
     def _progress(self) -> Progress:
-        ids_in_progress = [item.event_id for item in self._current.changes] if self._current else []
+        ids_in_progress = self._current.event_ids if self._current else []
         unsettled = [*self._waiting.event_ids(), *ids_in_progress]
         cursor = min(unsettled) - 1 if unsettled else self._last_read_id
         settled = {event_id for event_id in self._settled if event_id > cursor}
@@ -359,8 +347,7 @@ class ReceiverQueue:
         description: str,
         event_ids: Sequence[int] = (),
         *,
-        key: str = "",
-        attempts: int = 0,
+        message: _OpenMessage | None = None,
         with_progress: bool = True,
     ) -> None:
         self._delivery_log.append(
@@ -368,9 +355,9 @@ class ReceiverQueue:
                 receiver=self.name,
                 what=kind,
                 result=description,
-                event_ids=list(event_ids),
-                key=key,
-                attempts=attempts,
+                event_ids=list(event_ids) if message is None else message.event_ids,
+                key="" if message is None else message.key,
+                attempts=0 if message is None else message.attempts,
                 place=self._progress() if with_progress else None,
                 utc_ns=self._now_ns(),
             )

@@ -9,7 +9,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from daq_service.errors import UsageError
-from daq_service.settings.stored import KeyPath, flattened, nested, renamed, stored_settings
+from daq_service.settings.stored import renamed, stored_settings
+from daq_service.settings.tables import KeyPath, flattened, nested
 from daq_service.settings.tree import Settings
 
 ASSESSMENT_KEYS: Mapping[str, frozenset[str] | None] = {

@@ -16,14 +16,10 @@ from pathlib import Path
 from typing import Any
 
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures
-from daq_service.acquisition.taken_set import due_of, features_of, features_of_a_rehearsal
-from daq_service.alarms.states import (
-    AFTER_ACKNOWLEDGEMENT,
-    Change,
-    Moment,
-    acknowledge,
-    reset,
-)
+from daq_service.acquisition.schedule import due_of
+from daq_service.acquisition.shot_features import features_of, features_of_a_rehearsal
+from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge, reset
+from daq_service.alarms.states import Change, Moment
 from daq_service.archive import FolderSetReader, SetRecord, SetReference
 from daq_service.assessment.baseline_lifecycle import STEPS, baseline_range
 from daq_service.assessment.transaction import Transaction

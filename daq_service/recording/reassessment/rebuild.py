@@ -11,7 +11,7 @@ from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
 
-from daq_service.acquisition.taken_set import features_of
+from daq_service.acquisition.shot_features import features_of
 from daq_service.archive import FolderSetReader
 from daq_service.archive.waterfall.tiles import TILES_FOLDER
 from daq_service.assessment.results_in_file import results_in

@@ -6,6 +6,7 @@ them. A set is assessed from its records only where one of both is missing or no
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -16,8 +17,8 @@ import orjson
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
-from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.taken_set import due_of, features_of, features_of_a_rehearsal
+from daq_service.acquisition.schedule import DueSet, due_of
+from daq_service.acquisition.shot_features import features_of, features_of_a_rehearsal
 from daq_service.alarms.delays import DELAY_EVENT
 from daq_service.archive import (
     ArchiveError,
@@ -30,12 +31,14 @@ from daq_service.archive import (
 from daq_service.assessment.assessor import StoredResult
 from daq_service.assessment.baseline_lifecycle import STEPS
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED
+from daq_service.assessment.follow_rows import follow
 from daq_service.assessment.restore_state import first_waveform, is_assessed
 from daq_service.assessment.results_in_file import find_differences, results_of
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.catalogue.reported_rows import ROW_OF_EVENT
+from daq_service.catalogue.reported_rows import ROW_OF_EVENT, joined, payloads_of, without_rows
 from daq_service.catalogue.rows import (
+    MEASURED,
     AlarmRow,
     AnnotationRow,
     AssessmentRow,
@@ -48,12 +51,11 @@ from daq_service.catalogue.rows import (
     SetRow,
     ShotRow,
     ThicknessRow,
-    measured,
 )
 from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.reassessment.changes import comparable
 from daq_service.recording.reassessment.stored_runs import Progress, Run, repeat_action, row_of, runs_of
-from daq_service.recording.set_assessor import SetAssessor, without_records
+from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import Shot
 
@@ -222,7 +224,8 @@ class _Restoration:
         results |= {row.position: row for row in transaction.features if row.shot_index is None}
         completed: list[AssessmentRow] = []
         for row in filter(is_assessed, transaction.sets):
-            followed = self._set_assessor.assessors.follow(
+            followed = follow(
+                self._set_assessor.assessors[row.position],
                 StoredResult(
                     its_set=row,
                     result=results.get(row.position),
@@ -232,7 +235,7 @@ class _Restoration:
                         if shot.position == row.position and shot.outcome == ACCEPTED
                     ],
                     waveform=partial(first_waveform, self._archive, row),
-                )
+                ),
             )
             own = [item for item in transaction.assessments if item.position == row.position]
             known = {item.set_key for item in own}
@@ -246,7 +249,7 @@ class _Restoration:
         for position, cause in left_out.items() if of_the_plan else ():
             first = stored[0]
             due = DueSet(set_index=first.set_index, due_h=first.due_h, due_utc_ns=first.due_utc_ns)
-            retired = without_records(self._settings, due, position, retired=True, cause=cause)
+            retired = self._set_assessor.without_records(due, position, retired=True, cause=cause)
             rows.setdefault(position, retired)
         digests = self._history.digests
         rows = {name: replace(row, file_sha256=digests.get(row.file or "")) for name, row in rows.items()}
@@ -280,7 +283,7 @@ class _Restoration:
             found = find_differences(record.results, again)
             self._result.differing += [f"set {due.set_key}, its file: {difference}" for difference in found]
         self._add_environment(transaction, record)
-        computed = list(transaction.events)
+        computed = joined(transaction.events, payloads_of(_reported_rows(transaction)))
         if events:
             if not damage:
                 self._result.differing += _differences(computed, events)
@@ -310,7 +313,7 @@ class _Restoration:
             # This set has no events: its alarms follow from its assessment.
             self._store_pending()
             self._catalogue.restore(self._alarms.values())
-            transaction.events = list(events)
+            transaction.events = without_rows(events, _reported_rows(transaction))
             self._set_assessor.commit(transaction)
             self._alarms |= {row.id or 0: row for row in self._set_assessor.alarms.values()}
             return
@@ -329,6 +332,7 @@ class _Restoration:
     def _store_pending(self) -> None:
         """Store the rows of the last sets in one commit, with the states after them."""
         self._pending.states = self._set_assessor.assessors.changed_states()
+        self._pending.events = without_rows(self._pending.events, _reported_rows(self._pending))
         self._catalogue.commit_set(self._pending)
         self._pending, self._n_pending = Transaction(), 0
 
@@ -392,7 +396,7 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
         if "tof_pp_s" in result:
             values = {name: result[name] for name in ("extractor_version", "quality", "n_valid")}
             measured_values: dict[str, Any] = {
-                name: _finite_or_none(result.get(name)) for name in measured(FeatureRow)
+                name: _finite_or_none(result.get(name)) for name in MEASURED[FeatureRow]
             }
             features.append(
                 FeatureRow(**key, sequence=row["shot_id"], due_h=due_h, **values, **measured_values)
@@ -427,6 +431,13 @@ def _with_stored_rows(
         transaction.baselines = _rows(BaselineRow, events)
         transaction.assessments = _rows(AssessmentRow, events)
     return transaction
+
+
+def _reported_rows(transaction: Transaction) -> list[Row]:
+    """Return the rows of a transaction that events report."""
+    of_set = [row for row in transaction.features if row.shot_index is None]
+    rows = (transaction.sets, of_set, transaction.thickness, transaction.assessments, transaction.environment)
+    return list(itertools.chain(*rows))
 
 
 def _merged(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:

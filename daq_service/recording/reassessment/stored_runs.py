@@ -12,8 +12,8 @@ from typing import TypeVar
 
 from daq_service.alarms.states import RETIRING
 from daq_service.assessment.baseline_lifecycle import STEPS
-from daq_service.assessment.position_assessors import PositionAssessors
 from daq_service.catalogue.rows import EventRow, Row
+from daq_service.recording.set_assessor import PositionAssessors
 from hardware_drivers.measurement import SetKey
 
 R = TypeVar("R", bound=Row)
@@ -33,7 +33,7 @@ def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Cont
     if event.kind in STEPS:
         assessors.renew(str(event.position))
     elif event.kind == "alarm_reset" and event.payload["kind"] in RETIRING and event.position in positions:
-        assessors.reinstate(str(event.position))
+        assessors.enable(str(event.position))
 
 
 def row_of(kind: type[R], event: EventRow, id_name: str = "id") -> R:

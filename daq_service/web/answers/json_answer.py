@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import struct
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 import numpy as np
 import orjson
@@ -22,6 +23,13 @@ class JsonAnswer(JSONResponse):
     def render(self, content: object) -> bytes:
         """Return the content as JSON bytes."""
         return orjson.dumps(content, option=orjson.OPT_SERIALIZE_NUMPY)
+
+
+def framed(header: object, *parts: bytes) -> bytes:
+    """Return the u32 length of a header, its JSON, padded to a multiple of 8 bytes, and the parts."""
+    text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
+    text += b" " * (-(4 + len(text)) % 8)
+    return b"".join([struct.pack("<I", len(text)), text, *parts])
 
 
 def rfc3339(utc_ns: int | None) -> str | None:
@@ -48,20 +56,20 @@ def rfc3339_of_hours(epoch_utc_ns: int, hours: Sequence[float]) -> list[str]:
     return [f"{stamp}{fraction}" for stamp in np.datetime_as_string(seconds.astype("datetime64[s]")).tolist()]
 
 
-def with_utc(row: Mapping[str, Any], epoch_utc_ns: int) -> dict[str, Any]:
+def with_utc(row: Mapping[str, object], epoch_utc_ns: int) -> dict[str, object]:
     """Return a row with RFC 3339 times, as it leaves the service.
 
     ``*_utc_ns`` becomes ``*_utc`` (JavaScript cannot hold the integers), and each hour of the
     experiment ``*_h`` gets its ``*_utc`` unless the row has one already.
     """
-    answer: dict[str, Any] = {}
+    answer: dict[str, object] = {}
     for key, value in row.items():
         if key == "utc_ns" or key.endswith("_utc_ns"):
-            answer[key.removesuffix("_ns")] = rfc3339(value)
+            answer[key.removesuffix("_ns")] = rfc3339(value) if isinstance(value, int) else None
         else:
             answer[key] = value
     for key in [key for key in answer if key.endswith("_h")]:
         hours = answer[key]
-        stamp = None if hours is None else rfc3339_of_hour(epoch_utc_ns, hours)
+        stamp = rfc3339_of_hour(epoch_utc_ns, hours) if isinstance(hours, int | float) else None
         answer.setdefault(key.removesuffix("_h") + "_utc", stamp)
     return answer

@@ -13,13 +13,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
-from typing import Any
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import orjson
 from fastapi import FastAPI, Request
 from fastapi.exceptions import RequestValidationError
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter
 from starlette.exceptions import HTTPException
 from starlette.responses import Response
 from starlette.routing import Match
@@ -57,53 +58,52 @@ class ProblemDetails(BaseModel):
     errors: list[InvalidPart] | None = None
 
 
-class Problem(Exception):  # noqa: N818 - the RFC's word
-    """Error that is answered as problem details."""
+class ProblemType(BaseModel, frozen=True, extra="forbid"):
+    """Type of a problem (RFC 9457); a problem may state a title or a hint of its own."""
 
-    def __init__(self, status: int, name: str, title: str, detail: str, hint: str) -> None:
+    status: int
+    title: str
+    hint: str = ""
+
+
+PROBLEM_TYPES = TypeAdapter(Mapping[str, ProblemType]).validate_python(
+    tomllib.loads(Path(__file__).with_name("problems.toml").read_text(encoding="utf-8"))
+)
+
+
+class Problem(Exception):  # noqa: N818 - the RFC's word
+    """Error that is answered as problem details; ``name`` is one of `PROBLEM_TYPES`."""
+
+    def __init__(self, name: str, detail: str, hint: str = "", *, title: str = "", status: int = 0) -> None:
         super().__init__(detail)
-        self.status = status
-        self.name = name
-        self.title = title
-        self.detail = detail
-        self.hint = hint
+        kind = PROBLEM_TYPES[name]
+        self.name, self.detail = name, detail
+        self.status, self.title, self.hint = status or kind.status, title or kind.title, hint or kind.hint
 
 
 def no_data_yet() -> Problem:
     """Return the problem that nothing is recorded yet (503)."""
-    return Problem(
-        503,
-        "no-data-yet",
-        "No data yet",
-        "No record has been stored in this data folder so far.",
-        "Ask again when the recorder has stored its first set; /readyz turns 200 then.",
-    )
+    return Problem("no-data-yet", "No record has been stored in this data folder so far.")
 
 
 def catalogue_lost(detail: str) -> Problem:
     """Return the problem that the catalogue is lost and must be rebuilt (503)."""
-    return Problem(
-        503,
-        "catalogue-lost",
-        "The catalogue is lost",
-        f"{detail[0].upper()}{detail[1:]}.",
-        "The sets are kept in their files; the page comes back by itself when the catalogue does.",
-    )
+    return Problem("catalogue-lost", f"{detail[0].upper()}{detail[1:]}.")
 
 
 def not_found(what: str, hint: str) -> Problem:
     """Return the problem that a resource does not exist (404)."""
-    return Problem(404, "not-found", "Not found", what, hint)
+    return Problem("not-found", what, hint)
 
 
 def conflict(detail: str, hint: str) -> Problem:
     """Return the problem that a request conflicts with the present state (409)."""
-    return Problem(409, "conflict", "Conflict with the present state", detail, hint)
+    return Problem("conflict", detail, hint)
 
 
 def invalid(title: str, detail: str, hint: str) -> Problem:
     """Return the problem of an invalid request (422)."""
-    return Problem(422, "invalid-request", title, detail, hint)
+    return Problem("invalid-request", detail, hint, title=title)
 
 
 def request_id(scope: Scope) -> str:
@@ -112,10 +112,10 @@ def request_id(scope: Scope) -> str:
 
 
 def problem_response(
-    scope: Scope, problem: Problem, errors: Sequence[dict[str, Any]] | None = None
+    scope: Scope, problem: Problem, errors: Sequence[Mapping[str, str]] | None = None
 ) -> Response:
     """Return the response of a problem."""
-    body: dict[str, Any] = {
+    body: dict[str, object] = {
         "type": TYPE_PREFIX + problem.name,
         "title": problem.title,
         "status": problem.status,
@@ -181,14 +181,13 @@ def install(app: FastAPI) -> None:
 
     async def on_http(request: Request, error: Exception) -> Response:
         assert isinstance(error, HTTPException)
+        names = {404: "not-found", 405: "method-not-allowed", 400: "bad-request"}
         problem = Problem(
-            error.status_code,
-            {404: "not-found", 405: "method-not-allowed", 400: "bad-request"}.get(
-                error.status_code, "http-error"
-            ),
-            str(error.detail),
+            names.get(error.status_code, "http-error"),
             f"{request.method} {request.url.path}: {error.detail}.",
             "/api/v1/openapi.json lists the paths and methods.",
+            title=str(error.detail),
+            status=error.status_code,
         )
         response = problem_response(request.scope, problem)
         response.headers.update(error.headers or {})
@@ -199,22 +198,14 @@ def install(app: FastAPI) -> None:
     async def on_storage(request: Request, error: Exception) -> Response:
         assert isinstance(error, SolimonError)
         log.error("request %s %s: %s", request_id(request.scope), request.url.path, error)
-        problem = Problem(
-            503,
-            "storage-unavailable",
-            "The data folder cannot be read",
-            str(error),
-            "Look at the recorder's log; `solimon status` tells what it does.",
-        )
+        problem = Problem("storage-unavailable", str(error))
         return problem_response(request.scope, problem)
 
     async def on_fault(request: Request, error: Exception) -> Response:
         # The server logs the traceback directly after this line.
         log.error("request %s %s failed: %r", request_id(request.scope), request.url.path, error)
         problem = Problem(
-            500,
             "internal-error",
-            "The service failed",
             f"{type(error).__name__} while answering; the cause stands in the log.",
             f"Look for request {request_id(request.scope)} in logs/web.log and report it.",
         )

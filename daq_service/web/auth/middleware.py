@@ -94,20 +94,11 @@ class AccessPolicy:
             return Person(name=token.name, role=token.role)
         if not self._allowance(address).take():
             raise Problem(
-                429,
                 "too-many-wrong-tokens",
-                "Too many wrong tokens",
                 f"More than {MOST_WRONG} wrong tokens came from {address}; a right one is always let in.",
-                "Correct the token, or make a new one with `solimon token create`.",
             )
         reason = "the token is unknown" if token is None else f"the token of {token.name} is {token.state}"
-        raise Problem(
-            401,
-            "wrong-token",
-            "The token does not open",
-            f"{reason[0].upper()}{reason[1:]}.",
-            "Ask an administrator for a new one (`solimon token create`).",
-        )
+        raise Problem("wrong-token", f"{reason[0].upper()}{reason[1:]}.")
 
     def may_stay(self, person: Person) -> bool:
         """Return whether a person still has access; checked again while a stream is open."""
@@ -145,12 +136,9 @@ class AccessPolicy:
         host = urlsplit(f"//{headers.get('host', '')}").hostname
         if host not in LOOPBACK or not _is_loopback(address_of(scope)):
             raise Problem(
-                403,
                 "not-encrypted",
-                "The request came without encryption",
                 f"A request to {host} from {address_of(scope)} was neither TLS nor handed on by web.proxy "
                 f"({self._web.proxy or 'none'}) with X-Forwarded-Proto: https.",
-                "Use https, and let the proxy say that it did.",
             )
 
     def _allowance(self, address: str) -> Allowance:
@@ -204,7 +192,7 @@ class AuthenticationMiddleware:
 
         await self._app(scope, receive, send_observed if _writes(scope) else send)
         if 422 in statuses:
-            what = getattr(scope.get("route"), "operation_id", None) or "enter"
+            what = getattr(scope.get("route"), "name", None) or "enter"
             await self._policy.audit_rejection(scope, "the request was not valid", what=what)
 
 
@@ -214,13 +202,7 @@ def _writes(scope: Scope) -> bool:
 
 def token_required() -> Problem:
     """Return the problem that a token is required (401)."""
-    return Problem(
-        401,
-        "no-token",
-        "A token is needed",
-        "This service asks for an access token.",
-        "Log in on the page, or send `Authorization: Bearer TOKEN`; `solimon token create` makes one.",
-    )
+    return Problem("no-token", "This service asks for an access token.")
 
 
 def person_at(connection: HTTPConnection) -> Person:

@@ -1,4 +1,4 @@
-"""Roles required by each operation of the interface and each kind of command.
+"""Roles required by each operation of the interface and each kind of command, from ``roles.toml``.
 
 An operation is named by its `operationId`, a WebSocket or HEAD by its function; an unlisted one requires
 admin, and `tests/contract/test_roles.py` fails. Each role may do what those before it may.
@@ -6,90 +6,32 @@ admin, and `tests/contract/test_roles.py` fails. Each role may do what those bef
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal, get_args
+
+from pydantic import BaseModel
 
 Role = Literal["viewer", "operator", "engineer", "admin"]
 ROLES: tuple[Role, ...] = get_args(Role)
 CLAIMED = "claimed"
 """Replaces a role where no token is required: everything is allowed, under an unverified name."""
 
+
+class _Table(BaseModel, frozen=True, extra="forbid"):
+    operations: Mapping[str, Role | Literal["public"]]
+    commands: Mapping[str, Role]
+
+
+_TABLE = _Table.model_validate(tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")))
 OPERATIONS: Mapping[str, Role | None] = {
-    # Public: health checks, and login.
-    "get_liveness": None,
-    "get_readiness": None,
-    "get_session": None,
-    "log_in": None,
-    "log_out": None,
-    # Reading.
-    "get_info": "viewer",
-    "get_health": "viewer",
-    "list_transducers": "viewer",
-    "get_transducer": "viewer",
-    "list_sets": "viewer",
-    "list_shots": "viewer",
-    "list_features": "viewer",
-    "list_thickness": "viewer",
-    "list_assessments": "viewer",
-    "list_baselines": "viewer",
-    "get_trend": "viewer",
-    "get_fit": "viewer",
-    "get_waveform": "viewer",
-    "get_set_waveforms": "viewer",
-    "get_waterfall": "viewer",
-    "get_waveforms": "viewer",
-    "get_live_waveform": "viewer",
-    "live_waveforms": "viewer",
-    "list_environment": "viewer",
-    "get_latest_environment": "viewer",
-    "list_alarms": "viewer",
-    "get_alarm": "viewer",
-    "get_alarm_history": "viewer",
-    "list_guidance": "viewer",
-    "list_annotations": "viewer",
-    "stream_events": "viewer",
-    "get_command": "viewer",
-    "list_tables": "viewer",
-    "get_table": "viewer",
-    "get_file": "viewer",
-    "get_report": "viewer",
-    "get_metrics": "viewer",
-    "get_notifications": "viewer",
-    "list_deliveries": "viewer",
-    # Changes of the test; each kind of command has its role below.
-    "create_command": "operator",
-    "acknowledge_alarm": "operator",
-    "test_receiver": "engineer",
-    # Tokens and audit.
-    "list_tokens": "admin",
-    "create_token": "admin",
-    "revoke_token": "admin",
-    "list_audit": "admin",
-    # Service of several tests.
-    "list_tests": "viewer",
+    name: None if role == "public" else role for name, role in _TABLE.operations.items()
 }
-ORDERS: Mapping[str, Role] = {
-    "acknowledge_alarm": "operator",
-    "shelve_alarm": "operator",
-    "unshelve_alarm": "operator",
-    "take_out_of_service": "engineer",
-    "return_to_service": "engineer",
-    "annotate": "operator",
-    "withdraw_annotation": "operator",
-    "pause": "operator",
-    "resume": "operator",
-    "strike": "operator",
-    "disable": "engineer",
-    "enable": "engineer",
-    "approve_baseline": "engineer",
-    "renew_baseline": "engineer",
-    "trust_clock": "engineer",
-    "finish_now": "engineer",
-    "stop": "engineer",
-    "supply_on": "engineer",
-    "supply_off": "engineer",
-}
+"""Role of each operation; None: it is public."""
+ORDERS = _TABLE.commands
+"""Role of each kind of command."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,7 +12,6 @@ from starlette.types import Receive, Scope, Send
 
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.problem import Problem, problem_response
-from daq_service.web.answers.version import API_VERSION
 from daq_service.web.app import Service, application_of_test, guard, versioned
 from daq_service.web.auth.middleware import PAGE_FILES
 from daq_service.web.context import Context
@@ -83,14 +82,13 @@ def create_app_of_many(paths: Sequence[Path], settings: Settings, folder: Path) 
         Two paths mean the same folder.
     """
     app = Service(
-        title="solimon, several tests",
-        version=API_VERSION,
-        description=(
+        "solimon, several tests",
+        (
             "The list of the tests that this service has, and its doors: one login for all. Each test "
             "answers below `/tests/{test}` with an interface of its own, which "
             "`/tests/{test}/api/v1/openapi.json` describes."
         ),
-        lifespan=_lifespan,
+        _lifespan,
     )
     context = Context(settings, folder)
     guard(app, context, has_tests=True)

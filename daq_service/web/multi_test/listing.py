@@ -6,11 +6,11 @@ import threading
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.states import PRIORITIES
-from daq_service.assessment.position_status import PositionStatus, data_hour, is_stale, status_of
+from daq_service.assessment.position_status import PositionStatus
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE
 from daq_service.catalogue.reader import Catalogue, LatestRows
 from daq_service.catalogue.rows import AlarmRow
@@ -19,9 +19,11 @@ from daq_service.processes.data_folder import LOCK_FILE
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import rfc3339
+from daq_service.web.multi_test.answers import ListedTest, Standing
 from daq_service.web.multi_test.location import AbsentError, absent_errors, folder_of, locate_test
 from daq_service.web.multi_test.open_tests import ServedTest, ServedTests
 from daq_service.web.routes.info import RIG_LABELS
+from daq_service.web.routes.transducers import position_standing
 
 CHANGING_S = 2.0
 ENDED_S = 60.0
@@ -31,7 +33,7 @@ MARKS = ("catalogue.sqlite", "catalogue.sqlite-wal", "heartbeat.json", LOCK_FILE
 
 @dataclass(frozen=True, slots=True)
 class _CachedEntry:
-    entry: dict[str, Any]
+    entry: ListedTest
     folder: Path
     mark: tuple[int, ...]
     read_s: float
@@ -39,8 +41,8 @@ class _CachedEntry:
     def is_current(self, now_s: float) -> bool:
         if now_s - self.read_s < CHANGING_S:
             return True
-        standing = self.entry["standing"]
-        ended = standing is not None and standing["recorder"] != "running"
+        standing = self.entry.standing
+        ended = standing is not None and standing.recorder != "running"
         return ended and now_s - self.read_s < ENDED_S and _mark_of(self.folder) == self.mark
 
 
@@ -64,33 +66,36 @@ class Listing:
                     self._cached[test.name] = _CachedEntry(self._entry(test), folder, mark, now_s)
             now_s = time.monotonic()
             return [
-                cached.entry | {"looked_age_s": now_s - cached.read_s} for cached in self._cached.values()
+                cached.entry.model_dump() | {"looked_age_s": now_s - cached.read_s}
+                for cached in self._cached.values()
             ]
 
     def shown(self) -> int:
         """Return the number of tests that could be shown at their last read."""
-        return sum(cached.entry["state"] == "shown" for cached in list(self._cached.values()))
+        return sum(cached.entry.state == "shown" for cached in list(self._cached.values()))
 
-    def _entry(self, test: ServedTest) -> dict[str, Any]:
+    def _entry(self, test: ServedTest) -> ListedTest:
         page = f"/tests/{test.name}/"
-        entry = {
-            "test": test.name,
-            "name": test.title,
-            "source": str(test.path),
-            "page": page,
-            "api": f"{page}api/v1",
-            "state": "shown",
-            "detail": None,
-            "remedy": None,
-            "standing": None,
-        }
+        standing, absence = None, None
         try:
             settings, folder = locate_test(test.path, self._tests.access_policy)
-            test.title = entry["name"] = settings.name
+            test.title = settings.name
             with absent_errors(), open_catalogue(folder) as catalogue:
-                return entry | {"standing": _present_state(settings, folder, catalogue)}
+                standing = _present_state(settings, folder, catalogue)
         except AbsentError as error:
-            return entry | {"state": error.state, "detail": f"{error}", "remedy": error.remedy}
+            absence = error
+        return ListedTest(
+            test=test.name,
+            name=test.title,
+            source=str(test.path),
+            page=page,
+            api=f"{page}api/v1",
+            state="shown" if absence is None else absence.state,
+            detail=None if absence is None else f"{absence}",
+            remedy=None if absence is None else absence.remedy,
+            standing=standing,
+            looked_age_s=0.0,
+        )
 
 
 def _mark_of(folder: Path) -> tuple[int, ...]:
@@ -106,13 +111,16 @@ def _mark_of(folder: Path) -> tuple[int, ...]:
     return tuple(marks)
 
 
-def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> dict[str, Any]:
+def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> Standing:
     fresh = Freshness(folder, catalogue, settings.clock.kind)
     summaries = catalogue.positions_state()
     hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     positions = [
-        _position(
-            settings, fresh, name, summaries.get(name) or LatestRows(position=name, method=place.method)
+        position_standing(
+            settings,
+            fresh,
+            name,
+            fresh.standing_word(summaries.get(name) or LatestRows(position=name, method=place.method)),
         )
         for name, place in settings.positions.items()
     ]
@@ -121,36 +129,22 @@ def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> di
         row for summary in summaries.values() if (row := summary.last_feature or summary.last_thickness)
     ]
     newest = max(measured, key=lambda row: row.set_index, default=None)
-    return {
-        "rig": settings.rig.kind,
-        "rig_label": RIG_LABELS.get(settings.rig.kind, settings.rig.kind),
-        "clock": fresh.clock,
-        "epoch_utc": rfc3339(fresh.epoch_utc_ns),
-        "now_h": fresh.now_h,
-        "end_h": hours[-1] if hours else 0.0,
-        "recorder": fresh.recorder.status,
-        "wall_age_s": fresh.wall_age_s,
-        "held": catalogue.held(),
-        "state": max((place["state"] for place in positions), key=get_args(PositionStatus).index),
-        "stale": any(place["stale"] for place in positions),
-        "active_alarms": len(active),
-        "highest_priority": max((row.priority for row in active), key=PRIORITIES.index, default=None),
-        "last_set_index": None if newest is None else newest.set_index,
-        "last_set_h": None if newest is None else newest.due_h,
-        "age_h": None if newest is None else fresh.age_h(newest.due_h),
-        "positions": positions,
-    }
-
-
-def _position(settings: Settings, fresh: Freshness, name: str, summary: LatestRows) -> dict[str, object]:
-    settings_of_position, data_h = settings.positions[name], data_hour(summary)
-    age_h = None if data_h is None else fresh.age_h(data_h)
-    return {
-        "position": name,
-        "label": settings_of_position.label,
-        "method": settings_of_position.method,
-        "state": status_of(fresh.standing_word(summary)),
-        "stale": is_stale(settings.schedule, fresh, age_h),
-        "data_h": data_h,
-        "age_h": age_h,
-    }
+    return Standing(
+        rig=settings.rig.kind,
+        rig_label=RIG_LABELS.get(settings.rig.kind, settings.rig.kind),
+        clock=settings.clock.kind,
+        epoch_utc=str(rfc3339(fresh.epoch_utc_ns)),
+        now_h=fresh.now_h,
+        end_h=hours[-1] if hours else 0.0,
+        recorder=fresh.recorder.status,
+        wall_age_s=fresh.wall_age_s,
+        held=catalogue.held(),
+        state=max((place.state for place in positions), key=get_args(PositionStatus).index),
+        stale=any(place.stale for place in positions),
+        active_alarms=len(active),
+        highest_priority=max((row.priority for row in active), key=PRIORITIES.index, default=None),
+        last_set_index=None if newest is None else newest.set_index,
+        last_set_h=None if newest is None else newest.due_h,
+        age_h=None if newest is None else fresh.age_h(newest.due_h),
+        positions=positions,
+    )

@@ -10,7 +10,7 @@ from contextlib import AsyncExitStack, asynccontextmanager, suppress
 from pathlib import Path
 
 from daq_service.errors import UsageError
-from daq_service.web.answers.problem import Problem, not_found
+from daq_service.web.answers.problem import PROBLEM_TYPES, Problem, not_found
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.context import Context
 from daq_service.web.multi_test.location import AbsentError, folder_of, locate_test, title_of
@@ -156,9 +156,8 @@ class ServedTests:
 def unavailable(error: AbsentError) -> Problem:
     """Return the problem that a test cannot be shown, with the remedy (503)."""
     return Problem(
-        503,
         "no-data-yet" if error.state == "no_data" else "test-unavailable",
-        "The test cannot be shown now",
         f"{error}",
         error.remedy,
+        title=PROBLEM_TYPES["test-unavailable"].title,
     )

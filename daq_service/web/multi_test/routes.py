@@ -31,27 +31,25 @@ def _listing(request: Request) -> Listing:
     return listing
 
 
-@router.get("/tests", operation_id="list_tests", response_model=ListedTests)
+@router.get("/tests", response_model=ListedTests)
 def list_tests(request: Request) -> JsonAnswer:
     """List the tests of this service with their states, and the remedy for those that cannot be shown."""
     return JsonAnswer({"items": _listing(request).entries()})
 
 
-@probes.get("/healthz", operation_id="get_liveness", response_model=ServiceLiveness)
+@probes.get("/healthz", response_model=ServiceLiveness)
 async def get_liveness(request: Request) -> JsonAnswer:
     """Return that the process of the service responds, without reading a folder."""
     return JsonAnswer(_liveness(request))
 
 
-@probes.get("/readyz", operation_id="get_readiness", response_model=ServiceLiveness, responses=problems(503))
+@probes.get("/readyz", response_model=ServiceLiveness, responses=problems(503))
 def get_readiness(request: Request) -> JsonAnswer:
     """Return whether any test can be shown."""
     entries = _listing(request).entries()
     if not any(entry["state"] == "shown" for entry in entries):
         raise Problem(
-            503,
             "no-data-yet",
-            "No data yet",
             f"None of {len(entries)} tests can be shown.",
             "/api/v1/tests says why of each, and what helps.",
         )
@@ -63,7 +61,7 @@ def _liveness(request: Request) -> dict[str, object]:
     return {"status": "ok", "data": shown > 0, "tests": len(request.app.state.tests.all), "shown": shown}
 
 
-@probes.get("/metrics", operation_id="get_metrics", response_class=Response, responses=OPENMETRICS)
+@probes.get("/metrics", response_class=Response, responses=OPENMETRICS)
 def get_metrics(request: Request) -> Response:
     """Return the metrics of every test with a label `test`, and which tests can be shown."""
     tests: ServedTests = request.app.state.tests

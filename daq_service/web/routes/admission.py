@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import Depends
-from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection
 
 from daq_service.commands.audit import Result
@@ -28,11 +27,6 @@ async def _person_dependency(connection: HTTPConnection) -> Person:
 PersonOf = Annotated[Person, Depends(_person_dependency)]
 
 
-def operation_of(route: Any) -> str:
-    """Return the name of an operation in the table of roles."""
-    return str((isinstance(route, APIRoute) and route.operation_id) or route.name)
-
-
 async def admit(connection: HTTPConnection) -> None:
     """Check that the role allows an operation; a dependency of every route of the API.
 
@@ -41,7 +35,7 @@ async def admit(connection: HTTPConnection) -> None:
     Problem
         401: not logged in. 403: the role is too low.
     """
-    operation = operation_of(connection.scope["route"])
+    operation: str = connection.scope["route"].name
     needed = OPERATIONS.get(operation, "admin")
     if needed is not None:
         person = person_at(connection)
@@ -55,13 +49,7 @@ async def admit(connection: HTTPConnection) -> None:
 
 def role_too_low(person: Person, operation: str, needed: Role) -> Problem:
     """Return the problem that a higher role is needed (403)."""
-    return Problem(
-        403,
-        "role-too-low",
-        "Your role does not allow this",
-        f"{operation} needs the role {needed}; {person.name} is {person.role}.",
-        "Ask somebody with that role, or an administrator for another token.",
-    )
+    return Problem("role-too-low", f"{operation} needs the role {needed}; {person.name} is {person.role}.")
 
 
 def write_audit_entry(
@@ -71,7 +59,7 @@ def write_audit_entry(
     result: Result,
     why: str = "",
     *,
-    arguments: Mapping[str, Any] | None = None,
+    arguments: Mapping[str, object] | None = None,
     claimed: str = "",
     command_id: int | None = None,
 ) -> None:

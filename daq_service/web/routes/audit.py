@@ -42,7 +42,7 @@ FromUtc = Annotated[Moment | None, Query(description="First moment, included")]
 ToUtc = Annotated[Moment | None, Query(description="Last moment, excluded")]
 
 
-@router.get("/audit", operation_id="list_audit", response_model=AuditPage, responses=problems(422, 503))
+@router.get("/audit", response_model=AuditPage, responses=problems(503))
 def list_audit(
     context: ContextOf,
     who: Who = None,

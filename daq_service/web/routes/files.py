@@ -9,7 +9,7 @@ from fastapi import APIRouter, Path, Request
 from starlette.responses import FileResponse, Response
 
 from daq_service.catalogue.rows import SetRow
-from daq_service.web.answers.models import problems
+from daq_service.web.answers.models import files, problems
 from daq_service.web.answers.problem import Problem, not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
@@ -19,20 +19,16 @@ router = APIRouter(tags=["files"])
 HDF5 = "application/x-hdf5"
 NAME = re.compile(r"set_(\d{1,9})_\w+\.h5", re.ASCII)
 RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})", re.ASCII)
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
 
 
 @router.head("/files/{name}", include_in_schema=False)
 @router.get(
     "/files/{name}",
-    operation_id="get_file",
     response_class=Response,
-    responses={
-        200: {"content": {HDF5: _BINARY}},
-        206: {"description": "The range that was asked for.", "content": {HDF5: _BINARY}},
-        304: {"description": "The client's copy, named by If-None-Match, is the file."},
-        **problems(404, 416, 422, 503),
-    },
+    responses=files(HDF5)
+    | {206: files(HDF5)[200] | {"description": "The range that was asked for."}}
+    | {304: {"description": "The client's copy, named by If-None-Match, is the file."}}
+    | problems(404, 416, 503),
 )
 def get_file(
     request: Request,
@@ -82,10 +78,4 @@ def _check_range(byte_range: str, n_bytes: int) -> None:
     first, last = match.groups() if match else ("", "")
     is_valid = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)
     if not is_valid:
-        raise Problem(
-            416,
-            "range-not-satisfiable",
-            "There is no such range",
-            f"Range is {byte_range[:60]!r}; the file has {n_bytes} bytes.",
-            "Ask for one range, such as bytes=0-1023 or bytes=-1024, or for the whole file.",
-        )
+        raise Problem("range-not-satisfiable", f"Range is {byte_range[:60]!r}; the file has {n_bytes} bytes.")

@@ -15,20 +15,20 @@ probes = APIRouter(tags=["health"])
 router = APIRouter(tags=["health"])
 
 
-@probes.get("/healthz", operation_id="get_liveness", response_model=Liveness)
+@probes.get("/healthz", response_model=Liveness)
 def get_liveness(context: ContextOf) -> JsonAnswer:
     """Return that the web process responds, independent of the recorder."""
     return JsonAnswer({"status": "ok", "data": context.has_data()})
 
 
-@probes.get("/readyz", operation_id="get_readiness", response_model=Liveness, responses=problems(503))
+@probes.get("/readyz", response_model=Liveness, responses=problems(503))
 def get_readiness(context: ContextOf) -> JsonAnswer:
     """Return 200 where data are stored, else 503."""
     context.catalogue().last_event_id()
     return JsonAnswer({"status": "ok", "data": True})
 
 
-@router.get("/health", operation_id="get_health", response_model=ServiceHealth, responses=problems(503))
+@router.get("/health", response_model=ServiceHealth, responses=problems(503))
 def get_health(context: ContextOf) -> JsonAnswer:
     """Return the heartbeat of the recorder, counts of stored data, open streams, and free disk space."""
     fresh = context.freshness()

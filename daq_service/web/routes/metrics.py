@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from itertools import chain
-from typing import Any, get_args
+from typing import get_args
 
 from fastapi import APIRouter, Request
 from prometheus_client import CollectorRegistry
@@ -13,17 +14,12 @@ from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, genera
 from prometheus_client.registry import Collector
 from starlette.responses import Response
 
-from daq_service.assessment.position_status import (
-    PositionStatus,
-    data_hour,
-    is_stale,
-    limit_of,
-    status_of,
-)
+from daq_service.assessment.position_status import PositionStatus, data_hour, is_stale, limit_of, status_of
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.processes.disk_policy import LEVELS, outlook
 from daq_service.processes.recorder_state import RecorderStatus, read_recorder_state
+from daq_service.settings.tree import Settings
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.version import distribution_version
 from daq_service.web.context import Context, ContextOf, Freshness
@@ -32,20 +28,14 @@ from hardware_drivers.nanoseconds import NS_PER_S
 probes = APIRouter(tags=["health"])
 S_PER_H = 3600.0
 
-Sample = tuple[tuple[str, ...], float | None]
-"""Values of the labels, and the number; None is omitted."""
+Labels = tuple[str, ...]
 OPENMETRICS: dict[int | str, dict[str, object]] = {
     200: {"content": {"application/openmetrics-text": {"schema": {"type": "string"}}}},
     **problems(503),
 }
 
 
-@probes.get(
-    "/metrics",
-    operation_id="get_metrics",
-    response_class=Response,
-    responses=OPENMETRICS,
-)
+@probes.get("/metrics", response_class=Response, responses=OPENMETRICS)
 def get_metrics(request: Request, context: ContextOf) -> Response:
     """Return state, age and newest values of positions, and metrics of alarms, recorder, disk and service."""
     return exposition(chain(of_service(), of_clients(context), of_test(context)), request)
@@ -79,15 +69,15 @@ def of_service() -> Iterator[Metric]:
 
 def of_clients(context: Context) -> Iterator[Metric]:
     """Yield the numbers of open streams of a test."""
-    yield _gauge("stream_clients", "Open event streams", [((), context.hub.clients)])
-    yield _gauge("waveform_clients", "Open waveform streams", [((), context.live.clients)])
+    yield _gauge("stream_clients", "Open event streams", context.hub.clients)
+    yield _gauge("waveform_clients", "Open waveform streams", context.live.clients)
 
 
 def of_test(context: Context) -> Iterator[Metric]:
     """Yield the present metrics of a test; without data, only the status of its recorder."""
     yield from _of_notifications(context)
     has_data = context.has_data()
-    yield _gauge("has_data", "1: something is stored", [((), has_data)])
+    yield _gauge("has_data", "1: something is stored", has_data)
     if has_data:
         yield from _of_data(context, context.freshness())
     else:
@@ -103,103 +93,105 @@ def _of_notifications(context: Context) -> Iterator[Metric]:
         failed.add_metric((queue.name,), queue.state.failed)
     yield sent
     yield failed
-    waiting = [((queue.name,), queue.state.waiting) for queue in queues]
-    yield _gauge("notifications_waiting", "Changes of alarms not told yet", waiting, ("receiver",))
+    waiting: dict[Labels, int] = {(queue.name,): queue.state.waiting for queue in queues}
+    yield _gauges("notifications_waiting", "Changes of alarms not told yet", waiting, "receiver")
+
+
+COUNTS = {
+    "sets": "Due times with a record",
+    "missed_sets": "Due times without any record",
+    "partial_sets": "Due times with a record that lack something",
+    "shots": "Stored solitary-wave shots",
+    "pulse_echo_records": "Stored pulse-echo records",
+}
 
 
 def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     catalogue = context.catalogue()
-    beat_age_s = fresh.recorder.beat_age_s
     yield _recorder(fresh.recorder.status)
     yield _gauge(
-        "heartbeat_age_seconds", "Wall time since the recorder's last sign of life", [((), beat_age_s)]
+        "heartbeat_age_seconds", "Wall time since the recorder's last sign of life", fresh.recorder.beat_age_s
     )
-    yield _gauge("write_age_seconds", "Wall time since something was stored", [((), fresh.wall_age_s)])
-    yield _gauge("test_hours", "Hour of the test", [((), fresh.now_h)])
-    yield _gauge("held", "1: somebody holds the test", [((), catalogue.held() is not None)])
+    yield _gauge("write_age_seconds", "Wall time since something was stored", fresh.wall_age_s)
+    yield _gauge("test_hours", "Hour of the test", fresh.now_h)
+    yield _gauge("held", "1: somebody holds the test", catalogue.held() is not None)
     counts = catalogue.counts()
-    yield _counter("sets", "Due times with a record", counts["sets"])
-    yield _counter("missed_sets", "Due times without any record", counts["missed_sets"])
-    yield _counter("partial_sets", "Due times with a record that lack something", counts["partial_sets"])
-    yield _counter("shots", "Stored solitary-wave shots", counts["shots"])
-    yield _counter("pulse_echo_records", "Stored pulse-echo records", counts["pulse_echo_records"])
+    for name, description in COUNTS.items():
+        yield _counter(name, description, counts[name])
     yield _counter("alarms", "Alarms ever raised", catalogue.newest_id(AlarmRow))
     yield _counter("orders", "Orders ever given", catalogue.newest_id(CommandRow))
     disk = outlook(context.data_folder, context.settings, catalogue)
-    yield _gauge("disk_free_bytes", "Free on the volume of the data folder", [((), disk.free_bytes)])
-    yield _gauge("disk_size_bytes", "Size of that volume", [((), disk.total_bytes)])
-    yield _gauge("disk_needed_bytes", "What the rest of the test takes", [((), disk.needed_bytes)])
-    yield _states("disk_level", "How full the volume is", [((), disk.level)], LEVELS, ())
-    yield _alarms(map(fresh.standing, catalogue.rows(AlarmRow, active=True)))
+    yield _gauge("disk_free_bytes", "Free on the volume of the data folder", disk.free_bytes)
+    yield _gauge("disk_size_bytes", "Size of that volume", disk.total_bytes)
+    yield _gauge("disk_needed_bytes", "What the rest of the test takes", disk.needed_bytes)
+    yield _states("disk_level", "How full the volume is", {(): disk.level}, LEVELS)
+    active = map(fresh.standing, catalogue.rows(AlarmRow, active=True))
+    numbers: Counter[Labels] = Counter(
+        (row.kind, row.priority, row.state, row.position or "", row.suppressed or "") for row in active
+    )
+    labels = ("kind", "priority", "state", "position", "suppressed")
+    yield _gauges("alarms_active", "Alarms that are not over", numbers, *labels)
     states = catalogue.positions_state()
     summaries = {
         name: fresh.standing_word(states.get(name, LatestRows(position=name, method=place.method)))
         for name, place in context.settings.positions.items()
     }
-    yield from _of_positions(context, fresh, summaries)
+    yield from _of_positions(context.settings, fresh, summaries)
 
 
-def _of_positions(context: Context, fresh: Freshness, summaries: dict[str, LatestRows]) -> Iterator[Metric]:
-    of_position = ("position",)
-    ages_h = {
-        name: None if (hour := data_hour(summary)) is None else fresh.age_h(hour)
-        for name, summary in summaries.items()
-    }
+VALUES = (
+    ("outlier", "1: the newest judged set is an outlier", "last_assessment", "outlier"),
+    ("distance_squared", "Mahalanobis squared distance", "last_assessment", "distance_squared"),
+    ("time_of_flight_seconds", "Peak to peak", "last_feature", "tof_pp_s"),
+    ("amplitude_ratio", "PSW over ISW", "last_feature", "amplitude_ratio"),
+    ("thickness_meters", "Wall by pulse echo", "last_thickness", "thickness_m"),
+    ("thickness_loss_meters", "Since the test began", "last_thickness", "thickness_loss_m"),
+    ("last_set_shots", "Shots of the newest set", "last_set", "n_taken"),
+    ("last_set_missed_shots", "Strikes without a record", "last_set", "n_missed"),
+)
+"""Newest values of a position: metric, description, row and its column."""
 
-    def position_gauge(name: str, description: str, value: Any) -> Metric:
-        return _gauge(
-            name,
-            description,
-            [((place,), value(summary)) for place, summary in summaries.items()],
-            of_position,
-        )
 
-    def value_of(row: str, column: str) -> object:
-        return lambda summary: getattr(getattr(summary, row), column, None)
+def _of_positions(
+    settings: Settings, fresh: Freshness, summaries: Mapping[str, LatestRows]
+) -> Iterator[Metric]:
+    def gauge(name: str, description: str, value: Callable[[LatestRows], float | None]) -> Metric:
+        samples: dict[Labels, float | None] = {(place,): value(last) for place, last in summaries.items()}
+        return _gauges(name, description, samples, "position")
 
-    def limit_of_row(row: str) -> object:
-        return lambda summary: None if getattr(summary, row) is None else limit_of(summary, context.settings)
+    def states(
+        name: str, description: str, state: Callable[[LatestRows], str | None], known: object
+    ) -> Metric:
+        present: dict[Labels, str | None] = {(place,): state(last) for place, last in summaries.items()}
+        return _states(name, description, present, get_args(known), "position")
 
-    schedule = context.settings.schedule
-    yield _states(
-        *("position_state", "How a position stands"),
-        [((name,), status_of(summary)) for name, summary in summaries.items()],
-        get_args(PositionStatus),
-        of_position,
+    def age_h(last: LatestRows) -> float | None:
+        hour = data_hour(last)
+        return None if hour is None else fresh.age_h(hour)
+
+    def age_s(last: LatestRows) -> float | None:
+        hours = age_h(last)
+        return None if hours is None else S_PER_H * hours
+
+    def value_of(row: str, column: str) -> Callable[[LatestRows], float | None]:
+        return lambda last: getattr(getattr(last, row), column, None)
+
+    def limit_of_row(row: str) -> Callable[[LatestRows], float | None]:
+        return lambda last: None if getattr(last, row) is None else limit_of(last, settings)
+
+    yield states("position_state", "How a position stands", status_of, PositionStatus)
+    yield states("quality", "Quality of the newest values", _quality, Quality)
+    yield gauge(
+        "stale",
+        "1: older than the schedule explains",
+        lambda last: is_stale(settings.schedule, fresh, age_h(last)),
     )
-    yield _states(
-        *("quality", "Quality of the newest values"),
-        [((name,), _quality(summary)) for name, summary in summaries.items()],
-        get_args(Quality),
-        of_position,
-    )
-    stale = [((name,), is_stale(schedule, fresh, age_h)) for name, age_h in ages_h.items()]
-    yield _gauge("stale", "1: older than the schedule explains", stale, of_position)
-    ages = [((name,), None if age_h is None else S_PER_H * age_h) for name, age_h in ages_h.items()]
-    yield _gauge("data_age_seconds", "Age of the newest measured set on the test's clock", ages, of_position)
-    yield position_gauge(
-        "outlier", "1: the newest judged set is an outlier", value_of("last_assessment", "outlier")
-    )
-    yield position_gauge(
-        "distance_squared", "Mahalanobis squared distance", value_of("last_assessment", "distance_squared")
-    )
-    yield position_gauge("distance_squared_limit", "The limit of an outlier", limit_of_row("last_assessment"))
-    yield position_gauge("time_of_flight_seconds", "Peak to peak", value_of("last_feature", "tof_pp_s"))
-    yield position_gauge("amplitude_ratio", "PSW over ISW", value_of("last_feature", "amplitude_ratio"))
-    yield position_gauge("thickness_meters", "Wall by pulse echo", value_of("last_thickness", "thickness_m"))
-    yield position_gauge(
-        "thickness_limit_meters", "Below it the probe alarms", limit_of_row("last_thickness")
-    )
-    yield position_gauge(
-        "thickness_loss_meters", "Since the test began", value_of("last_thickness", "thickness_loss_m")
-    )
-    yield position_gauge("last_set_shots", "Shots of the newest set", value_of("last_set", "n_taken"))
-    yield position_gauge(
-        "last_set_missed_shots", "Strikes without a record", value_of("last_set", "n_missed")
-    )
-    yield position_gauge(
-        "last_set_start_delay_seconds", "From when the set was due to its first strike", _delay_s
-    )
+    yield gauge("data_age_seconds", "Age of the newest measured set on the test's clock", age_s)
+    for name, description, row, column in VALUES:
+        yield gauge(name, description, value_of(row, column))
+    yield gauge("distance_squared_limit", "The limit of an outlier", limit_of_row("last_assessment"))
+    yield gauge("thickness_limit_meters", "Below it the probe alarms", limit_of_row("last_thickness"))
+    yield gauge("last_set_start_delay_seconds", "From when the set was due to its first strike", _delay_s)
 
 
 def _quality(summary: LatestRows) -> str | None:
@@ -214,47 +206,35 @@ def _delay_s(summary: LatestRows) -> float | None:
     return (row.started_utc_ns - row.due_utc_ns) / NS_PER_S
 
 
-def _alarms(active: Iterable[AlarmRow]) -> Metric:
-    numbers: dict[tuple[str, ...], int] = {}
-    for row in active:
-        labels = (row.kind, row.priority, row.state, row.position or "", row.suppressed or "")
-        numbers[labels] = numbers.get(labels, 0) + 1
-    return _gauge(
-        "alarms_active",
-        "Alarms that are not over",
-        numbers.items(),
-        ("kind", "priority", "state", "position", "suppressed"),
-    )
-
-
 def _recorder(status: str) -> Metric:
-    return _states("recorder_state", "How the recorder is", [((), status)], get_args(RecorderStatus), ())
+    return _states("recorder_state", "How the recorder is", {(): status}, get_args(RecorderStatus))
 
 
 def _counter(name: str, description: str, number: int) -> Metric:
     return CounterMetricFamily(f"solimon_{name}", description, value=number)
 
 
-def _gauge(name: str, description: str, samples: Iterable[Sample], labels: tuple[str, ...] = ()) -> Metric:
+def _gauge(name: str, description: str, number: float | None) -> Metric:
+    return _gauges(name, description, {(): number})
+
+
+def _gauges(name: str, description: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
+    """Return a number by the values of its labels; None is omitted."""
     family = GaugeMetricFamily(f"solimon_{name}", description, labels=labels)
-    for of_labels, number in samples:
+    for of_labels, number in samples.items():
         if number is not None:
             family.add_metric(of_labels, float(number))
     return family
 
 
 def _states(
-    name: str,
-    description: str,
-    samples: Iterable[tuple[tuple[str, ...], str | None]],
-    known: Iterable[str],
-    labels: tuple[str, ...],
+    name: str, description: str, present: Mapping[Labels, str | None], known: Iterable[str], *labels: str
 ) -> Metric:
     """Return one sample per state, 1 for the present one."""
-    all_samples = [
-        ((*of_labels, state), float(state == status))
-        for of_labels, status in samples
+    samples = {
+        (*of_labels, state): float(state == status)
+        for of_labels, status in present.items()
         for state in known
         if status
-    ]
-    return _gauge(name, description, all_samples, (*labels, "state"))
+    }
+    return _gauges(name, description, samples, *labels, "state")

@@ -25,7 +25,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 router = APIRouter(tags=["notifications"])
 
 
-@router.get("/notifications", operation_id="get_notifications", response_model=NotificationsState)
+@router.get("/notifications", response_model=NotificationsState)
 def get_notifications(context: ContextOf) -> JsonAnswer:
     """Return the receivers without secrets: last delivery, failures, waiting changes, next heartbeat."""
     service = context.notifications
@@ -39,12 +39,7 @@ def get_notifications(context: ContextOf) -> JsonAnswer:
     )
 
 
-@router.get(
-    "/notifications/log",
-    operation_id="list_deliveries",
-    response_model=DeliveryPage,
-    responses=problems(422, 503),
-)
+@router.get("/notifications/log", response_model=DeliveryPage, responses=problems(503))
 def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit = 100) -> JsonAnswer:
     """List the delivery log (sent, failed and given-up messages), the newest first."""
     end = cursors.decode("deliveries", cursor)
@@ -62,10 +57,7 @@ def list_deliveries(context: ContextOf, cursor: CursorText = None, limit: Limit 
 
 
 @router.post(
-    "/notifications/{receiver}/test",
-    operation_id="test_receiver",
-    response_model=TrialResult,
-    responses=problems(403, 404, 409, 413, 422),
+    "/notifications/{receiver}/test", response_model=TrialResult, responses=problems(403, 404, 409, 413)
 )
 def test_receiver(
     receiver: Annotated[str, Path(max_length=32)], request: Request, person: PersonOf, context: ContextOf

@@ -22,11 +22,10 @@ _making = threading.Lock()
 
 @router.get(
     "/report",
-    operation_id="get_report",
     response_class=Response,
     responses={
         200: {"content": {"text/html": {"schema": {"type": "string"}}}},
-        **problems(422, 503),
+        **problems(503),
     },
 )
 def get_report(
@@ -40,13 +39,7 @@ def get_report(
     last_hour(from_h, to_h)
     context.catalogue()
     if not _making.acquire(blocking=False):
-        raise Problem(
-            503,
-            "too-many-reports",
-            "Another report is being made",
-            "One report is made at a time.",
-            "Ask again in some seconds, or make it with `solimon report`.",
-        )
+        raise Problem("too-many-reports", "One report is made at a time.")
     try:
         with one_worker() as worker:
             audited = person.may("admin")

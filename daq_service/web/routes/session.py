@@ -28,15 +28,13 @@ class LogIn(Strict):
     token: str = Field(min_length=1, max_length=LONGEST_TOKEN)
 
 
-@router.get("/session", operation_id="get_session", response_model=Session)
+@router.get("/session", response_model=Session)
 async def get_session(request: Request) -> JsonAnswer:
     """Return the person of the request and their permissions, or that a token is needed."""
     return JsonAnswer(_session_of(request.state.person))
 
 
-@router.post(
-    "/session", operation_id="log_in", response_model=Session, responses=problems(400, 403, 413, 422)
-)
+@router.post("/session", response_model=Session, responses=problems(400, 403, 413))
 async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
     """Log the page in: sets a cookie (HttpOnly, SameSite=Strict, over TLS Secure)."""
     try:
@@ -62,7 +60,7 @@ async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
     return response
 
 
-@router.delete("/session", operation_id="log_out", response_model=Session, responses=problems(403))
+@router.delete("/session", response_model=Session, responses=problems(403))
 async def log_out(request: Request, context: ContextOf) -> Response:
     """Log the page out by deleting the cookie; the token stays valid until it is revoked."""
     person = request.state.person

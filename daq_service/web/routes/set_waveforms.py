@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import struct
-from typing import Any
-
 from fastapi import APIRouter, Request
 from starlette.responses import Response
 
@@ -15,13 +11,15 @@ from analysis.waves.quality_gate import ACCEPTED
 from analysis.waves.record_reduction import ExtractionSettings
 from daq_service.archive import SetNotFoundError, SetReference
 from daq_service.assessment.methods import METHODS
+from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
-from daq_service.web.answers.models import problems
+from daq_service.web.answers.json_answer import framed
+from daq_service.web.answers.models import UNCHANGED, files, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import SetOfPath
-from daq_service.web.routes.waveforms import OCTET_STREAM, UNCHANGED
+from daq_service.web.routes.waveforms import OCTET_STREAM, little_endian
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import SOLITARY_WAVE
 
@@ -30,20 +28,10 @@ router = APIRouter(tags=["waveforms"])
 
 @router.get(
     "/sets/{position}/{set_index}/waveforms",
-    operation_id="get_set_waveforms",
     response_class=Response,
-    responses={
-        200: {"content": {OCTET_STREAM: {"schema": {"type": "string", "format": "binary"}}}},
-        304: UNCHANGED,
-        **problems(404, 422, 503),
-    },
+    responses=files(OCTET_STREAM) | UNCHANGED | problems(404, 503),
 )
-def get_set_waveforms(
-    request: Request,
-    context: ContextOf,
-    position: str,
-    set_index: SetOfPath,
-) -> Response:
+def get_set_waveforms(request: Request, context: ContextOf, position: str, set_index: SetOfPath) -> Response:
     """Return the accepted waveforms of a set: u32 header length, JSON header, then all samples.
 
     The header names each record (shot_index, sequence, dtype, n_samples, sample_rate_hz, pretrigger_samples;
@@ -88,21 +76,16 @@ def get_set_waveforms(
             for record in records
         ],
     }
-    text = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
-    text += b" " * (-(4 + len(text)) % 8)
-    samples = [
-        record.waveform.counts.astype(record.waveform.counts.dtype.newbyteorder("<"), copy=False).tobytes()
-        for record in records
-    ]
-    content = b"".join([struct.pack("<I", len(text)), text, *samples])
+    content = framed(header, *(little_endian(record.waveform) for record in records))
     return Response(content, media_type=OCTET_STREAM, headers=headers)
 
 
 def _windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, float]]:
     """Return the search windows of a set, s from the trigger; none without a reference time."""
     catalogue, method = context.catalogue(), METHODS[set_row.method]
-    set_filters: dict[str, Any] = {"position": set_row.position, **set_row.set_key._asdict()}
-    result = next(iter(catalogue.rows(method.row, **set_filters, **method.of_sets)), None)
+    filters: Filters = {"position": set_row.position, "set_index": set_row.set_index, **method.of_sets}
+    filters["unscheduled_index"] = set_row.unscheduled_index
+    result = next(iter(catalogue.rows(method.row, **filters)), None)
     if set_row.method == SOLITARY_WAVE:
         if not isinstance(result, FeatureRow) or result.isw_time_s is None:
             return {}

@@ -43,10 +43,9 @@ RETRY_MS = 1000
 
 @router.get(
     "/stream",
-    operation_id="stream_events",
     summary="Events as they are committed (server-sent events)",
     response_class=StreamingResponse,
-    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}, **problems(422, 503)},
+    responses={200: {"content": {"text/event-stream": {"schema": {"type": "string"}}}}, **problems(503)},
 )
 async def stream_events(
     context: ContextOf,
@@ -62,13 +61,7 @@ async def stream_events(
     """Stream events after `Last-Event-ID` (or `after`), or from the next event."""
     selected = _topics(topics)
     if context.open_streams() >= MOST_CLIENTS:
-        raise Problem(
-            503,
-            "too-many-streams",
-            "Too many streams are open",
-            f"{MOST_CLIENTS} streams are open, and no more are served.",
-            "Close some, or share one between the tabs and programs of a computer.",
-        )
+        raise Problem("too-many-streams", f"{MOST_CLIENTS} streams are open, and no more are served.")
     start_after = after if last_event_id in (None, "") else _event_id(last_event_id or "")
     if start_after is None and context.hub.complete_after is not None:
         # Now, before the client is connected: all later events are new to it.

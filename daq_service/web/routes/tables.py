@@ -1,4 +1,4 @@
-"""`/api/v1/tables`: tables as files, for spreadsheets, Python, MATLAB and viewers."""
+"""Tables and waveforms as files: `/api/v1/tables`, `/api/v1/waveforms/{position}`."""
 
 from __future__ import annotations
 
@@ -12,29 +12,39 @@ from starlette.responses import Response, StreamingResponse
 
 from daq_service.errors import UsageError
 from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import TableList, problems
+from daq_service.web.answers.models import TableList, files, problems
 from daq_service.web.answers.problem import Problem, invalid, not_found
 from daq_service.web.context import ContextOf
-from daq_service.web.routes.listing import FromHour, PositionFilter, PurposeFilter, ToHour, last_hour
+from daq_service.web.routes.listing import (
+    LARGEST_INDEX,
+    FromHour,
+    PositionFilter,
+    PurposeFilter,
+    ToHour,
+    last_hour,
+)
 from daq_service.web.tables.choice import TABLES, check_choice
 from daq_service.web.tables.export import exported
 from daq_service.web.tables.formats import FORMATS, available
+from daq_service.web.tables.record_formats import exported_records
+from daq_service.web.tables.records import NoRecordError, RecordChoice, read_slice
 
-router = APIRouter(tags=["tables"])
+router = APIRouter()
 MOST_ROWS = 100_000
 """Limit of rows: some 50 MB while a file of all rows is created."""
+MOST_RECORD_BYTES = 32_000_000
+"""Limit of records in volts; creating their file needs some three times as much memory."""
 AT_ONCE = 2
 _making = threading.BoundedSemaphore(AT_ONCE)
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
-FILES = {kind.media_type: _BINARY for kind in FORMATS.values()}
-"""Media types of exported files for OpenAPI."""
+EXPORTS = files(*(kind.media_type for kind in FORMATS.values())) | problems(404, 503)
+"""Exported files for OpenAPI."""
 Form = Annotated[
     Literal["csv", "parquet", "arrow", "npz", "mat", "h5"] | None,
     Query(alias="format", description="Absent: by the header Accept, else csv"),
 ]
 
 
-@router.get("/tables", operation_id="list_tables", response_model=TableList)
+@router.get("/tables", tags=["tables"], response_model=TableList)
 def list_tables() -> JsonAnswer:
     """List the tables, their columns with units, and the formats that this installation writes."""
     items = [
@@ -48,12 +58,7 @@ def list_tables() -> JsonAnswer:
     return JsonAnswer({"formats": available(), "items": items})
 
 
-@router.get(
-    "/tables/{table}",
-    operation_id="get_table",
-    response_class=Response,
-    responses={200: {"content": FILES}, **problems(404, 422, 503)},
-)
+@router.get("/tables/{table}", tags=["tables"], response_class=Response, responses=EXPORTS)
 def get_table(
     request: Request,
     context: ContextOf,
@@ -61,9 +66,7 @@ def get_table(
     position: PositionFilter = None,
     from_h: FromHour = None,
     to_h: ToHour = None,
-    fields: Annotated[
-        str | None, Query(max_length=1000, description="Comma-separated columns; absent: all of the table")
-    ] = None,
+    fields: Annotated[str | None, Query(max_length=1000)] = None,
     purpose: PurposeFilter = "planned",
     form: Form = None,
 ) -> Response:
@@ -94,6 +97,54 @@ def get_table(
     )
 
 
+@router.get(
+    "/waveforms/{position}",
+    tags=["waveforms"],
+    response_class=Response,
+    responses=EXPORTS,
+)
+def get_waveforms(
+    request: Request,
+    context: ContextOf,
+    position: str,
+    from_h: FromHour = None,
+    to_h: ToHour = None,
+    first_set: Annotated[int | None, Query(ge=0, le=LARGEST_INDEX, description="First set, included")] = None,
+    last_set: Annotated[int | None, Query(ge=0, le=LARGEST_INDEX, description="Last set, included")] = None,
+    form: Form = None,
+) -> Response:
+    """Export the accepted waveforms of a range in volts, with hour, flags and quality of each.
+
+    All must have the same length and rate, and at most 32 MB in volts; their features are in the table
+    `shot_features`.
+    """
+    context.checked_position(position)
+    name = form or accepted(request.headers.get("accept", ""))
+    catalogue, fresh = context.catalogue(), context.freshness()
+
+    def made() -> bytes:
+        choice = RecordChoice(
+            position=position, from_h=from_h, to_h=to_h, first_set=first_set, last_set=last_set
+        )
+        headers["Content-Disposition"] = f'attachment; filename="{choice.name}.{name}"'
+        records = read_slice(catalogue, context.archive, choice, most_bytes=MOST_RECORD_BYTES)
+        return exported_records(catalogue, fresh, choice, records, name)
+
+    # Compression of such a response would block the event loop.
+    headers = {"Vary": "Accept", "Content-Encoding": "identity"}
+    try:
+        content = alone(made)
+    except NoRecordError as error:
+        raise not_found(str(error), "/api/v1/sets lists the sets, and why one is missed.") from error
+    except UsageError as error:
+        raise invalid(
+            "No such export",
+            str(error),
+            "Choose fewer sets with from_h, to_h, first_set and last_set.",
+        ) from error
+    return Response(content, media_type=FORMATS[name].media_type, headers=headers)
+
+
 def accepted(accept: str) -> str:
     """Return the format for an ``Accept`` header: the first known type of the highest quality, else csv."""
     types = {kind.media_type: name for name, kind in FORMATS.items()}
@@ -101,9 +152,8 @@ def accepted(accept: str) -> str:
     for part in accept.split(","):
         media_type, *parameters = (piece.strip().lower() for piece in part.split(";"))
         weight = next((piece[2:] for piece in parameters if piece.startswith("q=")), "1")
-        is_number = weight.replace(".", "", 1).isdecimal()
-        if media_type in types:
-            offers.append((float(weight) if is_number else 0.0, types[media_type]))
+        if media_type in types and weight.replace(".", "", 1).isdecimal():
+            offers.append((float(weight), types[media_type]))
     best = max(offers, key=lambda offer: offer[0], default=(0.0, "csv"))
     return best[1] if best[0] > 0.0 else "csv"
 
@@ -118,11 +168,8 @@ def alone(make: Callable[[], bytes]) -> bytes:
     """
     if not _making.acquire(blocking=False):
         raise Problem(
-            503,
             "too-many-exports",
-            "Other exports are being made",
             f"{AT_ONCE} files that hold all their rows are being made, and no more at once.",
-            "Ask again in a moment, or take a table as csv.",
         )
     try:
         return make()

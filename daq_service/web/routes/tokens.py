@@ -29,7 +29,7 @@ class TokenRequest(Strict):
     days: float | None = Field(default=None, gt=0.0, le=36_500.0, description="Until it expires; null: never")
 
 
-@router.get("/tokens", operation_id="list_tokens", response_model=TokenList, responses=problems(503))
+@router.get("/tokens", response_model=TokenList, responses=problems(503))
 def list_tokens(context: ContextOf) -> JsonAnswer:
     """List all tokens, also revoked and expired ones, without their secret text."""
     return JsonAnswer(
@@ -39,10 +39,10 @@ def list_tokens(context: ContextOf) -> JsonAnswer:
 
 @router.post(
     "/tokens",
-    operation_id="create_token",
+    name="create_token",
     status_code=201,
     response_model=NewToken,
-    responses=problems(400, 403, 409, 413, 422, 503),
+    responses=problems(400, 403, 409, 413, 503),
 )
 def create_access_token(
     token_request: TokenRequest, request: Request, person: PersonOf, context: ContextOf
@@ -67,10 +67,7 @@ def create_access_token(
 
 
 @router.delete(
-    "/tokens/{name}",
-    operation_id="revoke_token",
-    response_model=TokenEntry,
-    responses=problems(403, 409, 422, 503),
+    "/tokens/{name}", name="revoke_token", response_model=TokenEntry, responses=problems(403, 409, 503)
 )
 def revoke_access_token(
     name: Annotated[str, Path(max_length=40)], request: Request, person: PersonOf, context: ContextOf

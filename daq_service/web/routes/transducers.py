@@ -1,8 +1,8 @@
-"""`/api/v1/transducers`: present state of each monitored position."""
+"""Present state: `/api/v1/transducers` for each monitored position, `/api/v1/environment/latest`."""
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import asdict
 
 from fastapi import APIRouter
 
@@ -10,20 +10,24 @@ from daq_service.alarms.states import PRIORITIES, retired_positions
 from daq_service.assessment.position_status import data_hour, is_stale, status_of
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import Row
+from daq_service.corrosion_drive.supply_state import read_supply_status
+from daq_service.processes import freshness
+from daq_service.settings.tree import Settings
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
-from daq_service.web.answers.models import PositionList, PositionState, problems
-from daq_service.web.context import Context, ContextOf, Freshness
-from daq_service.web.routes.assessments import with_quality
-
-router = APIRouter(tags=["transducers"])
-
-
-@router.get(
-    "/transducers",
-    operation_id="list_transducers",
-    response_model=PositionList,
-    responses=problems(503),
+from daq_service.web.answers.models import (
+    EnvironmentNow,
+    PositionList,
+    PositionStanding,
+    PositionState,
+    problems,
 )
+from daq_service.web.context import Context, ContextOf, Freshness
+from daq_service.web.routes.row_listings import with_quality
+
+router = APIRouter()
+
+
+@router.get("/transducers", tags=["transducers"], response_model=PositionList, responses=problems(503))
 def list_transducers(context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of every position."""
     fresh = context.freshness()
@@ -34,9 +38,9 @@ def list_transducers(context: ContextOf) -> JsonAnswer:
 
 @router.get(
     "/transducers/{position}",
-    operation_id="get_transducer",
+    tags=["transducers"],
     response_model=PositionState,
-    responses=problems(404, 422, 503),
+    responses=problems(404, 503),
 )
 def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of one position."""
@@ -45,22 +49,33 @@ def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     return JsonAnswer(_state(context, context.freshness(), position, state))
 
 
-def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, Any]:
+@router.get(
+    "/environment/latest", tags=["environment"], response_model=EnvironmentNow, responses=problems(503)
+)
+def get_latest_environment(context: ContextOf) -> JsonAnswer:
+    """Return the newest row, and the present status of the supply; null where there is none."""
+    fresh = context.freshness()
+    row, drive = context.catalogue().last_environment(), read_supply_status(context.data_folder)
+    return JsonAnswer(
+        {
+            "as_of": fresh.as_of(),
+            "latest": None if row is None else fresh.row(row),
+            "supply_now": None if drive is None else asdict(drive),
+        }
+    )
+
+
+def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, object]:
     place = context.settings.positions[name]
     last = fresh.standing_word(stored or LatestRows(position=name, method=place.method))
     assessment, alarms = last.last_assessment, last.active_alarms
     visible_alarms = [row for row in alarms if row.suppressed is None]
     shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]
-    data_h = data_hour(last)
-    age_h = None if data_h is None else fresh.age_h(data_h)
+    standing = position_standing(context.settings, fresh, name, last)
     return {
-        "position": name,
-        **{key: getattr(place, key) for key in ("label", "method", "serial_number")},
-        "state": status_of(last),
-        "stale": is_stale(context.settings.schedule, fresh, age_h),
-        "data_h": data_h,
-        "data_utc": None if data_h is None else fresh.utc_of(data_h),
-        "age_h": age_h,
+        **standing.model_dump(),
+        "serial_number": place.serial_number,
+        "data_utc": None if standing.data_h is None else fresh.utc_of(standing.data_h),
         "last_set": _row(fresh, last.last_set),
         "last_feature": _row(fresh, last.last_feature),
         "last_thickness": _row(fresh, last.last_thickness),
@@ -71,6 +86,23 @@ def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | N
         "shelved_until_utc": rfc3339(min(shelves, default=None)),
         "highest_priority": max((row.priority for row in visible_alarms), key=PRIORITIES.index, default=None),
     }
+
+
+def position_standing(
+    settings: Settings, fresh: freshness.Freshness, name: str, last: LatestRows
+) -> PositionStanding:
+    """Return the status of a position from its latest rows, with its alarms in their present state."""
+    place, data_h = settings.positions[name], data_hour(last)
+    age_h = None if data_h is None else fresh.age_h(data_h)
+    return PositionStanding(
+        position=name,
+        label=place.label,
+        method=place.method,
+        state=status_of(last),
+        stale=is_stale(settings.schedule, fresh, age_h),
+        data_h=data_h,
+        age_h=age_h,
+    )
 
 
 def _row(fresh: Freshness, row: Row | None) -> dict[str, object] | None:

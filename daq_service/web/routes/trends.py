@@ -1,10 +1,10 @@
-"""`/api/v1/trends/{position}`: columns over the test, one entry per set, for charts and analysis."""
+"""`/api/v1/trends/{position}`: columns over the test, and `/api/v1/fits/{position}`: their fit."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from fastapi import APIRouter, Query
@@ -13,13 +13,15 @@ from pydantic import StringConstraints, WithJsonSchema
 
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rollups import QUALITIES, Kind, trend_bins, values_of
+from daq_service.catalogue.rollups import QUALITIES, Kind, values_of
 from daq_service.catalogue.rows import AssessmentRow
+from daq_service.catalogue.trends import trend_bins, trend_part
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339_of_hours
-from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Trend, problems
+from daq_service.web.answers.models import TREND_ASSESSMENTS, TREND_FIELDS, Fit, Trend, problems
 from daq_service.web.answers.problem import invalid
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
+from daq_service.web.tables.choice import Columns
 
 router = APIRouter(tags=["trends"])
 
@@ -69,32 +71,14 @@ def checked_fields(method: str, fields: str | None, *, known: Sequence[str]) -> 
     return chosen
 
 
-@router.get(
-    "/trends/{position}",
-    operation_id="get_trend",
-    response_model=Trend,
-    responses=problems(404, 422, 503),
-)
+@router.get("/trends/{position}", response_model=Trend, responses=problems(404, 503))
 def get_trend(
     context: ContextOf,
     position: str,
-    fields: Annotated[
-        list[FieldName] | None,
-        Query(
-            max_length=50,
-            description="Columns, as `fields=a&fields=b` or with commas; absent: all of the method",
-        ),
-    ] = None,
+    fields: Annotated[list[FieldName] | None, Query(max_length=50)] = None,
     from_h: FromHour = None,
     to_h: ToHour = None,
-    points: Annotated[
-        int,
-        Query(
-            ge=1,
-            le=MOST_POINTS,
-            description="How many entries at most; fewer of many columns, since no answer is beyond 200 kB",
-        ),
-    ] = POINTS,
+    points: Annotated[int, Query(ge=1, le=MOST_POINTS)] = POINTS,
 ) -> JsonAnswer:
     """Return features or thickness with assessments by column, one entry per set or bin of sets.
 
@@ -152,7 +136,7 @@ _UNITLESS = frozenset({"outlier", "outlier_mean_3sd", "in_baseline", "reason"})
 
 def measured_columns(
     context: Context, position: str, names: Sequence[str], first_h: float | None, last_h: float | None
-) -> dict[str, list[Any]]:
+) -> Columns:
     """Read columns of the measured values of a position, one entry per set."""
     method = METHODS[context.settings.positions[position].method]
     filters: Filters = {"position": position, "first_h": first_h, "last_h": last_h, **method.of_sets}
@@ -161,7 +145,7 @@ def measured_columns(
 
 def read_columns(
     context: Context, position: str, fields: Sequence[str], from_h: float | None, last_h: float | None
-) -> dict[str, list[Any]]:
+) -> Columns:
     """Read `COMMON` and the selected columns; a set without assessment has null in its columns."""
     measured_names = [
         name for name in fields if name in METHODS[context.settings.positions[position].method].values
@@ -194,9 +178,9 @@ _SETS_IN_A_BIN = {
 }
 
 
-def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, list[Any]]:
+def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> Columns:
     """Return columns as `read_columns`, with one entry per bin."""
-    columns: dict[str, list[Any]] = {
+    columns: Columns = {
         "set_index": bins["first_set"].astype(int).tolist(),
         "due_h": bins["first_h"].tolist(),
         "quality": [
@@ -224,7 +208,7 @@ def _means(bins: NDArray[np.void], column: int) -> list[float]:
     return np.clip(mean, bins["minimum"][:, column], bins["maximum"][:, column]).tolist()  # type: ignore[no-any-return] # of NumPy
 
 
-def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, Any]:
+def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -> dict[str, object]:
     """Return the further values of bins: extremes, counts, first outliers and alarms."""
     names = [name for name in values_of(kind) if name in fields]
     column_of = {name: values_of(kind).index(name) for name in names}
@@ -243,3 +227,41 @@ def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) ->
 
 def _finite(column: NDArray[np.float64]) -> list[float | None]:
     return [value if math.isfinite(value) else None for value in column.tolist()]
+
+
+@router.get("/fits/{position}", response_model=Fit, responses=problems(404, 503))
+def get_fit(
+    context: ContextOf,
+    position: str,
+    field: Annotated[str, Query(max_length=40, description="A measured column of the position's method")],
+    from_h: FromHour = None,
+    to_h: ToHour = None,
+) -> JsonAnswer:
+    """Fit the sets in the range; sets without a value (null) are excluded."""
+    from analysis.errors import NotEnoughPointsError
+    from analysis.statistics.trend import trend_of_part
+
+    method = context.settings.positions[context.checked_position(position)].method
+    (name,) = checked_fields(method, field.replace(",", " "), known=METHODS[method].values)
+    fresh = context.freshness()
+    part = trend_part(context.catalogue(), position, name, first_h=from_h, last_h=last_hour(from_h, to_h))
+    n, trend, reason = int(part["n"]), None, None
+    try:
+        trend = trend_of_part(part)
+    except NotEnoughPointsError as error:
+        reason = str(error)
+    return JsonAnswer(
+        {
+            "position": position,
+            "field": name,
+            "unit": unit_of(name),
+            "n": n,
+            "coefficients": None if trend is None else [trend.constant, trend.linear, trend.quadratic],
+            "r_squared": None if trend is None else trend.r_squared,
+            "residual_sd": None if trend is None else trend.residual_sd,
+            "from_h": float(part["first_h"]) if n else None,
+            "to_h": float(part["last_h"]) if n else None,
+            "reason": reason,
+            "as_of": fresh.as_of(),
+        }
+    )

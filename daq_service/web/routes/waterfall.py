@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
-import struct
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import numpy as np
 from fastapi import APIRouter, Query, Request
+from numpy.typing import NDArray
 from starlette.responses import Response
 
 from daq_service.archive import SetReference
@@ -21,13 +20,13 @@ from daq_service.assessment.results_in_file import results_in
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import AssessmentRow, SetRow
-from daq_service.web.answers.json_answer import JsonAnswer
-from daq_service.web.answers.models import Waterfall, problems
+from daq_service.web.answers.json_answer import JsonAnswer, framed
+from daq_service.web.answers.models import UNCHANGED, Waterfall, files, problems
 from daq_service.web.answers.problem import invalid, not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
-from daq_service.web.routes.waveforms import OCTET_STREAM, UNCHANGED
+from daq_service.web.routes.waveforms import OCTET_STREAM
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -49,14 +48,11 @@ Seconds = Annotated[
 
 @router.get(
     "/waterfall/{position}",
-    operation_id="get_waterfall",
     response_model=Waterfall,
-    responses={
-        200: {"content": {OCTET_STREAM: {"schema": {"type": "string", "format": "binary"}}}},
-        204: {"description": "No record of the position is stored; /api/v1/sets tells why"},
-        304: UNCHANGED,
-        **problems(404, 422, 503),
-    },
+    responses=files(OCTET_STREAM)
+    | {204: {"description": "No record of the position is stored; /api/v1/sets tells why"}}
+    | UNCHANGED
+    | problems(404, 503),
 )
 def get_waterfall(
     request: Request,
@@ -67,20 +63,9 @@ def get_waterfall(
     from_s: Seconds = None,
     to_s: Seconds = None,
     rows: Annotated[int, Query(ge=1, le=MOST_ROWS, description="Most rows")] = ROWS,
-    columns: Annotated[
-        int, Query(ge=2, le=MOST_COLUMNS, description="Most columns of cells, a number without unit")
-    ] = COLUMNS,
-    align: Annotated[
-        Literal["trigger", "isw", "first_echo"],
-        Query(description="Where time counts from; isw and first_echo by method"),
-    ] = "trigger",
-    shown: Annotated[
-        Literal["volts", "normalised", "difference"],
-        Query(
-            alias="as",
-            description="normalised: each row over its greatest magnitude; difference: from the baseline",
-        ),
-    ] = "volts",
+    columns: Annotated[int, Query(ge=2, le=MOST_COLUMNS)] = COLUMNS,
+    align: Literal["trigger", "isw", "first_echo"] = "trigger",
+    shown: Annotated[Literal["volts", "normalised", "difference"], Query(alias="as")] = "volts",
     form: Annotated[Literal["octets", "json"], Query(alias="format")] = "octets",
 ) -> Response:
     """Return all accepted waveforms of a position as an image of the extremes of each cell.
@@ -145,21 +130,15 @@ def get_waterfall(
         "pending_sets": picture.pending + baseline_pending,
         "unreadable_sets": picture.unreadable,
     }
-    header_bytes = json.dumps(header, separators=(",", ":"), allow_nan=False).encode()
-    samples = planes.astype("<f4", copy=False).tobytes()
-    etag = f'"{hashlib.blake2b(header_bytes + samples, digest_size=16).hexdigest()}-{form}"'
+    content = framed(header, planes.astype("<f4", copy=False).tobytes())
+    etag = f'"{hashlib.blake2b(content, digest_size=16).hexdigest()}-{form}"'
     headers, not_modified = unchanged(request, etag)
     if not_modified is not None:
         return not_modified
     if form == "json":
         extremes = {"minimum": _nested_lists(planes[0]), "maximum": _nested_lists(planes[1])}
         return JsonAnswer({**header, **extremes}, headers=headers)
-    header_bytes += b" " * (-(4 + len(header_bytes)) % 8)
-    return Response(
-        struct.pack("<I", len(header_bytes)) + header_bytes + samples,
-        media_type=OCTET_STREAM,
-        headers=headers,
-    )
+    return Response(content, media_type=OCTET_STREAM, headers=headers)
 
 
 class _CatalogueIndex:
@@ -237,7 +216,7 @@ def _baseline(context: Context, catalogue: Catalogue, position: str) -> list[int
     return set_indices
 
 
-def _planes(picture: Picture, *, normalised: bool) -> np.ndarray[Any, np.dtype[np.float32]]:
+def _planes(picture: Picture, *, normalised: bool) -> NDArray[np.float32]:
     """Return the minima and maxima of the cells, shape (2, rows, columns)."""
     if not picture.rows:
         return np.zeros((2, 0, picture.frame.n_cells), dtype=np.float32)
@@ -260,5 +239,5 @@ def _until_h(picture: Picture) -> list[float]:
     return ends
 
 
-def _nested_lists(plane: np.ndarray[Any, np.dtype[np.float32]]) -> list[list[float | None]]:
+def _nested_lists(plane: NDArray[np.float32]) -> list[list[float | None]]:
     return [[None if math.isnan(value) else value for value in row] for row in plane.tolist()]

@@ -9,7 +9,7 @@ import time
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Path, Query, Request, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, Query, Request, WebSocket, WebSocketDisconnect
 from numpy.typing import NDArray
 from starlette.responses import Response
 
@@ -19,14 +19,14 @@ from daq_service.assessment.methods import METHODS
 from daq_service.catalogue.rows import FeatureRow, SetRow, ShotRow, ThicknessRow
 from daq_service.shared_file import read_shared
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339, with_utc
-from daq_service.web.answers.models import WaveformAnswer, problems
+from daq_service.web.answers.models import UNCHANGED, WaveformAnswer, files, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf
-from daq_service.web.routes.listing import LARGEST_INDEX, SetOfPath
+from daq_service.web.routes.listing import Index, SetOfPath
 from daq_service.web.streams.live_figures import Picture, decode_header, unreadable_picture
-from hardware_drivers.measurement import SetKey
+from hardware_drivers.measurement import SetKey, Waveform
 
 router = APIRouter(tags=["waveforms"])
 OCTET_STREAM = "application/octet-stream"
@@ -34,16 +34,13 @@ NPY = "application/x-npy"
 MOST_POINTS = 100_000
 LOOK_AT_TOKEN_S = 5.0
 """Interval of checks of the token, also without a new figure."""
-ERRORS = problems(404, 422, 503)
-UNCHANGED = {"description": "The client's copy, named by If-None-Match, is the record."}
-_BINARY = {"schema": {"type": "string", "format": "binary"}}
+ERRORS = problems(404, 503)
 
 
 @router.get(
     "/waveforms/live/{position}",
-    operation_id="get_live_waveform",
     response_class=Response,
-    responses={200: {"content": {OCTET_STREAM: _BINARY}}, **ERRORS},
+    responses=files(OCTET_STREAM) | ERRORS,
 )
 def get_live_waveform(position: str, context: ContextOf) -> Response:
     """Return the live figure: u32 header length, JSON header (volts = sum c[k] counts^k), samples."""
@@ -69,31 +66,17 @@ def get_live_waveform(position: str, context: ContextOf) -> Response:
 
 @router.get(
     "/waveforms/{position}/{set_index}/{shot_index}",
-    operation_id="get_waveform",
     response_model=WaveformAnswer,
-    responses={200: {"content": {NPY: _BINARY, OCTET_STREAM: _BINARY}}, 304: UNCHANGED, **ERRORS},
+    responses=files(NPY, OCTET_STREAM) | UNCHANGED | ERRORS,
 )
 def get_waveform(
     request: Request,
     context: ContextOf,
     position: str,
     set_index: SetOfPath,
-    shot_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
-    form: Annotated[
-        Literal["json", "npy", "octets"],
-        Query(
-            alias="format",
-            description="json; npy: float64 (2, n), time in s and volts; octets: counts as stored",
-        ),
-    ] = "json",
-    points: Annotated[
-        int | None,
-        Query(
-            ge=4,
-            le=MOST_POINTS,
-            description="Most points: extremes of each bin; not for octets",
-        ),
-    ] = None,
+    shot_index: Index,
+    form: Annotated[Literal["json", "npy", "octets"], Query(alias="format")] = "json",
+    points: Annotated[int | None, Query(ge=4, le=MOST_POINTS)] = None,
 ) -> Response:
     """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0."""
     context.checked_position(position)
@@ -118,9 +101,8 @@ def get_waveform(
         raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
     disposition = f'attachment; filename="{position}_{set_index.zfill(6)}_{shot_index:03d}'
     if form == "octets":
-        counts = waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False)
         return Response(
-            counts.tobytes(),
+            little_endian(waveform),
             media_type=OCTET_STREAM,
             headers={
                 **headers,
@@ -165,6 +147,11 @@ def get_waveform(
             "age_h": fresh.age_h(set_row.due_h),
         }
     )
+
+
+def little_endian(waveform: Waveform) -> bytes:
+    """Return the counts as stored, low byte first."""
+    return waveform.counts.astype(waveform.counts.dtype.newbyteorder("<"), copy=False).tobytes()
 
 
 def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.intp]:

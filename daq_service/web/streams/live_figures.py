@@ -96,9 +96,8 @@ def decode_header(content: bytes) -> dict[str, Any]:
 def unreadable_picture(why: str) -> Problem:
     """Return the problem that a live figure is unreadable (503)."""
     return Problem(
-        503,
         "storage-unavailable",
-        "The live picture cannot be read",
         f"The newest live picture cannot be read: {why}.",
         "The recorder replaces it with its next record; stored records are not concerned.",
+        title="The live picture cannot be read",
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import cache, partial
-from typing import Any
+from typing import TypedDict
 
 from analysis.waves.features import FEATURE_NAMES
 from daq_service.acquisition.schedule import due_hours
@@ -15,9 +15,17 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE
 
 
+class BaselineHours(TypedDict):
+    """Hours of the first and last set of a baseline, and temperatures around its sets."""
+
+    from_h: float
+    to_h: float
+    temperature_c: list[float] | None
+
+
 def published_baselines(
     catalogue: Catalogue, settings: Settings, epoch_utc_ns: int, position: str | None
-) -> list[tuple[BaselineRow, dict[str, Any]]]:
+) -> list[tuple[BaselineRow, BaselineHours]]:
     """Return the baselines of a position (None: of all), the newest last, each with extra columns."""
     rows = catalogue.rows(BaselineRow, position=position)
     positions_with_baseline = {row.position for row in rows}

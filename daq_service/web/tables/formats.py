@@ -21,7 +21,7 @@ import re
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,9 +32,15 @@ from daq_service.errors import UsageError
 from daq_service.settings.foreign_text import spreadsheet_cell
 from daq_service.web.tables.choice import Choice, Columns
 
+if TYPE_CHECKING:
+    from _typeshed import ReadableBuffer
+
 MATLAB_NAME = re.compile(r"[A-Za-z][A-Za-z0-9_]{0,62}")
 _ARROW = {"number": "float64", "integer": "int64", "truth": "bool_"}
 
+Arrow = Any
+"""The package pyarrow, or a part of it: it has no types."""
+Array = NDArray[np.generic]
 Facts = Mapping[str, object]
 Write = Callable[[Choice, Facts, Iterable[Columns]], Iterator[bytes]]
 
@@ -87,7 +93,7 @@ class _Drain(io.RawIOBase):
         """Return True."""
         return True
 
-    def write(self, content: Any) -> int:
+    def write(self, content: ReadableBuffer) -> int:
         """Append bytes to the buffer."""
         n_bytes = len(memoryview(content).cast("B"))
         self._waiting += content
@@ -112,38 +118,45 @@ def _arrow_like(kind: str) -> Write:
             [arrow_field(arrow, column) for column in choice.columns],
             metadata={"solimon": facts_text(facts)},
         )
-        drain = _Drain()
-        if kind == "parquet":
-            from pyarrow import parquet
-
-            writing = parquet.ParquetWriter(drain, schema)
-        else:
-            writing = arrow.ipc.new_stream(drain, schema)
-        with writing as writer:
-            for page in pages:
-                arrays = [arrow_array(arrow, field.type, page[field.name]) for field in schema]
-                writer.write(arrow.record_batch(arrays, schema=schema))
-                yield drain.taken()
-        yield drain.taken()
+        batches = ([arrow_array(arrow, field.type, page[field.name]) for field in schema] for page in pages)
+        yield from written_arrow(arrow, kind, schema, batches)
 
     return write
 
 
-def arrow_field(arrow: Any, column: PublishedColumn) -> Any:
+def written_arrow(
+    arrow: Arrow, form: str, schema: Arrow, batches: Iterable[Sequence[Arrow]]
+) -> Iterator[bytes]:
+    """Yield the bytes of a file, ``parquet`` or ``arrow``, after each batch of arrays."""
+    drain = _Drain()
+    if form == "parquet":
+        from pyarrow import parquet
+
+        writing = parquet.ParquetWriter(drain, schema)
+    else:
+        writing = arrow.ipc.new_stream(drain, schema)
+    with writing as writer:
+        for arrays in batches:
+            writer.write(arrow.record_batch(arrays, schema=schema))
+            yield drain.taken()
+    yield drain.taken()
+
+
+def arrow_field(arrow: Arrow, column: PublishedColumn) -> Arrow:
     """Return the Arrow field of a column, with its unit."""
     kind = arrow.timestamp("ns", tz="UTC") if column.form == "time" else None
     kind = kind or getattr(arrow, _ARROW.get(column.form, "string"))()
     return arrow.field(column.name, kind, metadata={"unit": column.unit} if column.unit else None)
 
 
-def arrow_array(arrow: Any, of_type: Any, values: list[Any]) -> Any:
+def arrow_array(arrow: Arrow, of_type: Arrow, values: Sequence[object]) -> Arrow:
     """Return the values of a column as Arrow array; None is null."""
     if arrow.types.is_timestamp(of_type):
         return arrow.array(values, type=arrow.string()).cast(of_type)
     return arrow.array(values, type=of_type)
 
 
-def pyarrow() -> Any:
+def pyarrow() -> Arrow:
     """Import and return the package pyarrow.
 
     Raises
@@ -161,14 +174,14 @@ def pyarrow() -> Any:
     return arrow
 
 
-def _arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, NDArray[Any]]:
+def _arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, Array]:
     """Return all rows as one array per column."""
     parts = [[as_array(column, page[column.name]) for column in columns] for page in pages]
     joined = [np.concatenate(of_column) for of_column in zip(*parts, strict=True)]
     return dict(zip([column.name for column in columns], joined, strict=True))
 
 
-def as_array(column: PublishedColumn, values: list[object]) -> NDArray[Any]:
+def as_array(column: PublishedColumn, values: list[object]) -> Array:
     """Return the values of a column as an array; missing ones are NaN, -1 or empty."""
     if column.form == "number":
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
@@ -178,11 +191,16 @@ def as_array(column: PublishedColumn, values: list[object]) -> NDArray[Any]:
     return np.array(["" if value is None else value for value in values], dtype=np.str_)
 
 
+def with_texts(array: Array) -> Array | list[str]:
+    """Return texts as a list, as h5py takes them, and other arrays unchanged."""
+    return [str(text) for text in array] if array.dtype.kind == "U" else array
+
+
 def _npz(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
     yield npz_image(_arrays(choice.columns, pages), facts)
 
 
-def npz_image(arrays: Mapping[str, NDArray[Any]], facts: Facts) -> bytes:
+def npz_image(arrays: Mapping[str, Array], facts: Facts) -> bytes:
     """Return the bytes of a NumPy file: an array a name, and ``solimon``."""
     content = io.BytesIO()
     # `numpy.savez` has parameters of its own, such as ``file``, which is a column of sets.
@@ -198,7 +216,7 @@ def _mat(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[byt
     yield mat_image(choice.table, _arrays(choice.columns, pages), units, facts)
 
 
-def mat_image(name: str, arrays: Mapping[str, NDArray[Any]], units: Mapping[str, str], facts: Facts) -> bytes:
+def mat_image(name: str, arrays: Mapping[str, Array], units: Mapping[str, str], facts: Facts) -> bytes:
     """Return the bytes of a MATLAB 5 file: a struct of the arrays, one of their units, and ``facts``."""
     # Imports SciPy only here: it would delay the start of a service by half a second.
     from scipy.io import savemat
@@ -206,7 +224,7 @@ def mat_image(name: str, arrays: Mapping[str, NDArray[Any]], units: Mapping[str,
     content = io.BytesIO()
     columns = {
         # Texts become cells: MATLAB would pad the rows of a matrix of letters with blanks.
-        key: array.astype(Any) if array.dtype.kind == "U" else array
+        key: array.astype(np.object_) if array.dtype.kind == "U" else array
         for key, array in arrays.items()
     }
     stored = {name: columns, "units": units, "facts": facts_text(facts)}
@@ -221,7 +239,7 @@ def _h5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[byte
     hours = next(name for name in ("due_h", "raised_h", "from_h") if name in arrays)
     yield table_image(
         choice.table,
-        {name: array.tolist() if array.dtype.kind == "U" else array for name, array in arrays.items()},
+        {name: with_texts(array) for name, array in arrays.items()},
         signal=numbers[0] if numbers else None,
         axis=hours,
         facts_text=facts_text(facts),

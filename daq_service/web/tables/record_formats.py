@@ -14,27 +14,15 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Mapping
-from typing import Any
 
 import numpy as np
 import orjson
-from numpy.typing import NDArray
 
 from daq_service.archive.table_file import records_image
 from daq_service.catalogue import Catalogue
 from daq_service.processes.freshness import Freshness
+from daq_service.web.tables import formats
 from daq_service.web.tables.export import facts_of
-from daq_service.web.tables.formats import (
-    Facts,
-    arrow_array,
-    arrow_field,
-    as_array,
-    facts_text,
-    mat_image,
-    npz_image,
-    pyarrow,
-)
 from daq_service.web.tables.records import OF_RECORD, RecordChoice, RecordSlice
 
 NAME = "waveforms"
@@ -57,10 +45,32 @@ def exported_records(
         "units": UNITS,
         "n_unreadable": records.columns["readable"].count(False),
     }
-    return _WRITERS[form](records, facts_of(catalogue.experiment_row(), fresh, about))
+    facts = facts_of(catalogue.experiment_row(), fresh, about)
+    if form == "csv":
+        return _csv(records)
+    if form in ("parquet", "arrow"):
+        return _arrow(records, facts, form)
+    arrays = {
+        "time_s": records.time_s,
+        "voltage_v": records.voltage_v,
+        **{column.name: formats.as_array(column, records.columns[column.name]) for column in OF_RECORD},
+    }
+    if form == "npz":
+        return formats.npz_image(arrays, facts)
+    if form == "mat":
+        return formats.mat_image(NAME, arrays, UNITS, facts)
+    columns = {column.name: formats.with_texts(arrays[column.name]) for column in OF_RECORD}
+    return records_image(
+        NAME,
+        columns,
+        records.time_s,
+        records.voltage_v,
+        axis="sequence",
+        facts_text=formats.facts_text(facts),
+    )
 
 
-def _csv(records: RecordSlice, facts: Facts) -> bytes:
+def _csv(records: RecordSlice) -> bytes:
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     keys = zip(*(records.columns[name] for name in ("set_index", "shot_index", "quality")), strict=True)
@@ -72,62 +82,16 @@ def _csv(records: RecordSlice, facts: Facts) -> bytes:
     return text.getvalue().encode() + cells.replace(b"],[", b"\r\n").replace(b"null", b"") + b"\r\n"
 
 
-def _arrow_like(kind: str) -> Callable[[RecordSlice, Facts], bytes]:
-    def write(records: RecordSlice, facts: Facts) -> bytes:
-        arrow = pyarrow()
-        n_samples = records.time_s.size
-        volts = arrow.field("voltage_v", arrow.list_(arrow.float64(), n_samples), metadata={"unit": "V"})
-        schema = arrow.schema(
-            [*(arrow_field(arrow, column) for column in OF_RECORD), volts],
-            metadata={"solimon": facts_text(facts)},
-        )
-        flat = arrow.array(records.voltage_v.ravel())
-        arrays = [
-            *(arrow_array(arrow, schema.field(c.name).type, records.columns[c.name]) for c in OF_RECORD),
-            arrow.FixedSizeListArray.from_arrays(flat, n_samples),
-        ]
-        table = arrow.Table.from_arrays(arrays, schema=schema)
-        content = io.BytesIO()
-        if kind == "parquet":
-            from pyarrow import parquet
-
-            parquet.write_table(table, content)
-        else:
-            with arrow.ipc.new_stream(content, schema) as stream:
-                stream.write_table(table)
-        return content.getvalue()
-
-    return write
-
-
-def _arrays(records: RecordSlice) -> dict[str, NDArray[Any]]:
-    return {column.name: as_array(column, records.columns[column.name]) for column in OF_RECORD}
-
-
-def _npz(records: RecordSlice, facts: Facts) -> bytes:
-    arrays = {"time_s": records.time_s, "voltage_v": records.voltage_v, **_arrays(records)}
-    return npz_image(arrays, facts)
-
-
-def _mat(records: RecordSlice, facts: Facts) -> bytes:
-    arrays = {"time_s": records.time_s, "voltage_v": records.voltage_v, **_arrays(records)}
-    return mat_image(NAME, arrays, UNITS, facts)
-
-
-def _h5(records: RecordSlice, facts: Facts) -> bytes:
-    columns = {
-        name: array.tolist() if array.dtype.kind == "U" else array for name, array in _arrays(records).items()
-    }
-    return records_image(
-        NAME, columns, records.time_s, records.voltage_v, axis="sequence", facts_text=facts_text(facts)
+def _arrow(records: RecordSlice, facts: formats.Facts, form: str) -> bytes:
+    arrow = formats.pyarrow()
+    n_samples = records.time_s.size
+    volts = arrow.field("voltage_v", arrow.list_(arrow.float64(), n_samples), metadata={"unit": "V"})
+    schema = arrow.schema(
+        [*(formats.arrow_field(arrow, column) for column in OF_RECORD), volts],
+        metadata={"solimon": formats.facts_text(facts)},
     )
-
-
-_WRITERS: Mapping[str, Callable[[RecordSlice, Facts], bytes]] = {
-    "csv": _csv,
-    "parquet": _arrow_like("parquet"),
-    "arrow": _arrow_like("arrow"),
-    "npz": _npz,
-    "mat": _mat,
-    "h5": _h5,
-}
+    arrays = [
+        *(formats.arrow_array(arrow, schema.field(c.name).type, records.columns[c.name]) for c in OF_RECORD),
+        arrow.FixedSizeListArray.from_arrays(arrow.array(records.voltage_v.ravel()), n_samples),
+    ]
+    return b"".join(formats.written_arrow(arrow, form, schema, [arrays]))

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +13,7 @@ from analysis.waves.quality_gate import ACCEPTED
 from daq_service.archive import ArchiveError, FolderSetReader, SetReference
 from daq_service.assessment.methods import METHODS
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.published_columns import PublishedColumn
+from daq_service.catalogue.published_columns import Form, PublishedColumn
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import SetRow, ShotRow
 from daq_service.errors import UsageError
@@ -27,7 +26,7 @@ MOST_SETS = 100_000
 BYTES_A_SAMPLE = 8
 
 
-def _column(name: str, form: Any, unit: str = "") -> PublishedColumn:
+def _column(name: str, form: Form, unit: str = "") -> PublishedColumn:
     return PublishedColumn(name=name, form=form, unit=unit, nullable=name in ("quality",))
 
 

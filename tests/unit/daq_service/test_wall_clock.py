@@ -7,7 +7,7 @@ from itertools import pairwise
 import pytest
 from support.machine import NS_PER_H, NS_PER_S, Machine
 
-from daq_service.clock import Before, TimeLine, WallClock, parse_utc
+from daq_service.clock import Before, MachineClock, TimeLine, WallClock, parse_utc
 from daq_service.clock.machine import elapsed_source, is_synchronised
 
 NOW_NS = parse_utc("2026-06-01T12:00:00Z")
@@ -101,7 +101,7 @@ def test_two_looks_that_were_torn_apart_are_no_step(machine):
         machine.sleep(slept_s.pop() if slept_s else 0.0)
         return utc_ns
 
-    clock = WallClock(system_ns=system_ns, elapsed_ns=lambda: machine.elapsed_ns)
+    clock = WallClock(machine=MachineClock(utc_ns=system_ns, elapsed_ns=lambda: machine.elapsed_ns))
     slept_s.append(0.0)
     clock.utc_ns()
     slept_s.append(3600.0)

@@ -211,12 +211,6 @@ class TestAhead:
             for first, second in both:
                 assert_same(first, second)
 
-    def test_any_order_is_the_same(self, make_bench, clock, executor):
-        ahead, plain = make_bench(executor=executor), make_bench()
-        shots = [key(i, j, position) for position in ("D", "B") for j in (2, 1) for i in (3, 0, 4)]
-        for first, shot in zip(self.strike_all(ahead, clock, shots, 100.0), shots, strict=True):
-            assert_same(first, shoot(plain, shot))
-
     def test_a_set_across_an_update_of_the_wall_is_the_same(self, make_bench, clock, executor):
         ahead, plain = make_bench(executor=executor), make_bench()
         depths = set()

@@ -9,8 +9,8 @@ import orjson
 import sqlalchemy as sa
 from alembic import op
 
-from daq_service.catalogue.connection import json_text
 from daq_service.catalogue.earlier_names import COLUMNS, current_row, derived_uuid
+from daq_service.catalogue.stored_rows import json_text
 
 revision = "0014"
 down_revision = "0013"

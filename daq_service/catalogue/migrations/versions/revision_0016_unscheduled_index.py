@@ -12,8 +12,8 @@ import orjson
 import sqlalchemy as sa
 from alembic import op
 
-from daq_service.catalogue.connection import json_text
 from daq_service.catalogue.earlier_names import current_row
+from daq_service.catalogue.stored_rows import json_text
 
 revision = "0016"
 down_revision = "0015"

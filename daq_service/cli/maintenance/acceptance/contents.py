@@ -6,14 +6,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
 
 from daq_service.cli.maintenance.acceptance import conduct, faults, sets
-from daq_service.cli.maintenance.acceptance.criteria import Comparison, Criterion, compared, outcome
+from daq_service.cli.maintenance.acceptance.criteria import Comparison, compared, outcome
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
 from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table
 from daq_service.cli.maintenance.acceptance.readings import readings
 from daq_service.cli.maintenance.acceptance.series import series_of
+from daq_service.cli.maintenance.acceptance.texts import Criterion
 from daq_service.clock import format_utc
 
 SHAPE = "1"
@@ -46,8 +46,8 @@ def build_report(evidence: Evidence, criteria: Sequence[Criterion]) -> Acceptanc
         *sets.set_quantities(evidence),
         *conduct.time_quantities(evidence),
         *conduct.recorder_quantities(evidence),
-        *conduct.growth_quantities(evidence, "resident_bytes", "memory of the recorder", "B"),
-        *conduct.growth_quantities(evidence, "open_handles", "open handles of the recorder", "1"),
+        *conduct.growth_quantities(evidence, "resident_bytes"),
+        *conduct.growth_quantities(evidence, "open_handles"),
         *conduct.disk_quantities(evidence),
         *conduct.clock_quantities(evidence),
         *faults.fault_quantities(evidence),
@@ -105,7 +105,7 @@ def _identity(evidence: Evidence) -> dict[str, str]:
     }
 
 
-def _listed(values: Mapping[str, Any]) -> str:
+def _listed(values: Mapping[str, object]) -> str:
     """Join names and values."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
@@ -140,29 +140,24 @@ def as_json(report: AcceptanceReport) -> dict[str, object]:
         "made_by": report.made_by,
         "outcome": report.outcome,
         "criteria": [
-            {
-                "quantity": item.criterion.quantity,
-                "sense": item.criterion.sense,
-                "limit": item.criterion.limit,
-                "unit": item.quantity.unit,
-                "value": item.quantity.value,
-                "low": item.quantity.low,
-                "high": item.quantity.high,
-                "state": item.state,
-                "why": item.why,
-            }
+            asdict(item.criterion)
+            | {name: getattr(item.quantity, name) for name in ("unit", "value", "low", "high")}
+            | {"state": item.state, "why": item.why}
             for item in report.comparisons
         ],
         "identity": dict(report.identity),
-        "quantities": {item.name: _as_object(item) for item in report.quantities},
+        "quantities": {
+            item.name: {key: value for key, value in asdict(item).items() if key != "name"}
+            for item in report.quantities
+        },
         "tables": {
-            table.name: [dict(zip(table.columns, row, strict=True)) for row in table.rows]
+            table.name: [dict(zip(table.text.columns, row, strict=True)) for row in table.rows]
             for table in report.tables
         },
         "series": {
             item.name: {
-                "unit": item.unit,
-                "how": item.how,
+                "unit": item.text.unit,
+                "how": item.text.how,
                 "hours": list(item.hours),
                 "values": list(item.values),
                 "missing": item.missing,
@@ -171,10 +166,3 @@ def as_json(report: AcceptanceReport) -> dict[str, object]:
         },
         "notes": list(report.notes),
     }
-
-
-def _as_object(item: Quantity) -> dict[str, object]:
-    """Return a quantity without its name."""
-    fields = asdict(item)
-    del fields["name"]
-    return fields

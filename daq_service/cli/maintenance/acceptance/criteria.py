@@ -4,51 +4,20 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from daq_service.cli.maintenance.acceptance.quantity import Quantity
+from daq_service.cli.maintenance.acceptance.texts import TEXTS, Criterion
 from daq_service.errors import UsageError
 
-Sense = Literal["at least", "at most"]
 State = Literal["pass", "fail", "undecided", "does not apply", "left out"]
 Outcome = Literal["pass", "fail", "incomplete"]
 
 LEFT_OUT = "off"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Criterion:
-    """A limit of one of the quantities; ``limit`` None: not required."""
-
-    quantity: str
-    sense: Sense
-    limit: float | None
-
-
-DEFAULTS: tuple[Criterion, ...] = (
-    # Of the paper's 425 sets four may be lost, or one night's work of a colleague at the rig.
-    Criterion(quantity="sets_taken_fraction", sense="at least", limit=0.99),
-    Criterion(quantity="records_taken_fraction", sense="at least", limit=0.99),
-    # The quality gate asks for 7 of 10: less than nine tenths over a test is a rig to be looked at.
-    Criterion(quantity="records_valid_fraction", sense="at least", limit=0.9),
-    # Two sets an hour apart may be lost in a row.
-    Criterion(quantity="longest_gap_h", sense="at most", limit=3.0),
-    # The corrosion of the paper changes by 0.3 % an hour: a minute is nothing, but a slow start has a cause.
-    Criterion(quantity="start_delay_p99_s", sense="at most", limit=1.0),
-    Criterion(quantity="start_delay_max_s", sense="at most", limit=60.0),
-    Criterion(quantity="unplanned_ends", sense="at most", limit=0.0),
-    # A test of a year and 8,760 sets would take 90 MB and 9 handles more.
-    Criterion(quantity="resident_bytes_growth", sense="at most", limit=10e6),
-    Criterion(quantity="open_handles_growth", sense="at most", limit=1.0),
-    # The disk was chosen by the forecast of check-config.
-    Criterion(quantity="growth_of_forecast", sense="at most", limit=1.25),
-    Criterion(quantity="clock_step_max_s", sense="at most", limit=60.0),
-    Criterion(quantity="clock_doubts", sense="at most", limit=0.0),
-    Criterion(quantity="faults_standing", sense="at most", limit=0.0),
-    Criterion(quantity="files_found_damaged", sense="at most", limit=0.0),
-    Criterion(quantity="damage_found", sense="at most", limit=0.0),
-)
+DEFAULTS = tuple(TEXTS.criteria)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,9 +51,7 @@ def with_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
             raise UsageError(f"--limit {text}: {value!r} is no number and not {LEFT_OUT!r}") from error
         if limits[name] is not None and not math.isfinite(float(value)):
             raise UsageError(f"--limit {text}: {value!r} is no limit; {name}={LEFT_OUT} leaves it out")
-    return tuple(
-        Criterion(quantity=item.quantity, sense=item.sense, limit=limits[item.quantity]) for item in DEFAULTS
-    )
+    return tuple(replace(item, limit=limits[item.quantity]) for item in DEFAULTS)
 
 
 def compared(criteria: Iterable[Criterion], quantities: Mapping[str, Quantity]) -> list[Comparison]:

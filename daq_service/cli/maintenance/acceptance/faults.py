@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import pairwise
 
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
-from daq_service.cli.maintenance.acceptance.quantity import Quantity, Table
+from daq_service.cli.maintenance.acceptance.quantity import Quantity, Table, quantity
 from daq_service.cli.maintenance.acceptance.readings import NOT_KEPT, kept
 from daq_service.recording.resumed_time import CLOCK_STEP
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -59,78 +58,46 @@ def fault_table(evidence: Evidence) -> Table:
         ]
         standing = sum(fault.until_ns is None for fault in faults_of_kind)
         rows.append((kind, len(faults_of_kind), max(hours), sum(hours), standing, faults_of_kind[-1].message))
-    return Table(
-        name="faults",
-        title="Faults: alarms of instruments, disk, data and clock",
-        columns=("kind", "times", "longest (h)", "together (h)", "stand now", "the last one's words"),
-        rows=rows,
-    )
+    return Table("faults", rows)
 
 
 def damage_table(evidence: Evidence) -> Table:
     """Return the table of the specimen's alarms: findings, not faults."""
-    return Table(
-        name="findings",
-        title="Alarms of the specimen: what the test found, no fault of it",
-        columns=("kind", "position", "priority", "state", "raised (h)", "words"),
-        rows=[
-            (row.kind, row.position or "", row.priority, row.state, row.raised_h, row.message)
-            for row in evidence.alarms
-            if row.alarm_class == "damage"
-        ],
-    )
+    rows = [
+        (row.kind, row.position or "", row.priority, row.state, row.raised_h, row.message)
+        for row in evidence.alarms
+        if row.alarm_class == "damage"
+    ]
+    return Table("findings", rows)
 
 
 def step_table(evidence: Evidence) -> Table:
     """Return the table of steps of the computer's UTC."""
-    return Table(
-        name="clock_steps",
-        title="Steps of the computer's UTC",
-        columns=("at (h)", "step (s)", "ahead from then on (s)"),
-        rows=[
-            (evidence.hour(row.utc_ns), row.payload["step_s"], row.payload["ahead_s"])
-            for row in evidence.service
-            if row.kind == CLOCK_STEP
-        ],
-    )
+    rows = [
+        (evidence.hour(row.utc_ns), row.payload["step_s"], row.payload["ahead_s"])
+        for row in evidence.service
+        if row.kind == CLOCK_STEP
+    ]
+    return Table("clock_steps", rows)
 
 
 def fault_quantities(evidence: Evidence) -> Iterator[Quantity]:
     """Yield active faults and detected corruption."""
-    quantity, service = partial(Quantity, "Faults and data"), evidence.service
-    standing = sum(fault.until_ns is None for fault in faults(evidence))
-    how = "device alarms whose condition holds"
-    yield quantity("faults_standing", "faults that stand now", "1", how, standing)
-    yield quantity(
-        "files_found_damaged",
-        "files that the recorder found damaged or gone",
-        "1",
-        "events data_corrupt, each file once",
-        len({row.payload["file"] for row in service if row.kind == "data_corrupt"}),
-    )
+    yield quantity("faults_standing", sum(fault.until_ns is None for fault in faults(evidence)))
+    corrupt = {row.payload["file"] for row in evidence.service if row.kind == "data_corrupt"}
+    yield quantity("files_found_damaged", len(corrupt))
     read = [reading for reading, _ in kept(evidence, "files_read")]
     ends = [
         reading
         for reading, following in pairwise([*read, None])
         if reading is not None and (following is None or following.recorder != reading.recorder)
     ]
-    yield quantity(
-        "files_read_again",
-        "files that recorders read again in their idle time",
-        "1",
-        "sum of the last files_read of each recorder, a file at every round",
-        sum(reading.payload["files_read"] for reading in ends) if read else None,
-        NOT_KEPT,
-    )
+    n_read = sum(reading.payload["files_read"] for reading in ends) if read else None
+    yield quantity("files_read_again", n_read, NOT_KEPT)
     report = evidence.verified
-    yield quantity(
-        "damage_found",
-        "damages that solimon verify found now",
-        "1",
-        "every frame, file and row compared"
-        if report is None
-        else "; ".join(f"{number} {name}" for name, number in report.checked.items()),
-        None if report is None else len(report.damage),
-        "not looked at: --verify does",
-        applies=report is not None,
-    )
+    if report is None:
+        checked, missing = "every frame, file and row compared", "not looked at: --verify does"
+        yield quantity("damage_found", None, missing, applies=False, checked=checked)
+    else:
+        checked = "; ".join(f"{number} {name}" for name, number in report.checked.items())
+        yield quantity("damage_found", len(report.damage), checked=checked)

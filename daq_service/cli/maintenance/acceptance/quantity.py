@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
+
+from daq_service.cli.maintenance.acceptance.texts import TEXTS, SeriesText, TableText
 
 WARM_UP, WARM_UP_SETS = 0.2, 10
 """First part of a recorder's sets, and so many at least: it imports, compiles, fills its caches, freezes
@@ -54,15 +55,33 @@ class Quantity:
             object.__setattr__(self, "missing", "")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+def quantity(
+    name: str,
+    value: float | None,
+    missing: str = "",
+    interval: tuple[float | None, float | None] = (None, None),
+    *,
+    applies: bool = True,
+    **facts: object,
+) -> Quantity:
+    """Return a quantity with its texts; ``facts`` fill the braces of its method."""
+    text, (low, high) = TEXTS.quantities[name], interval
+    return Quantity(
+        text.section, name, text.text, text.unit, text.how.format(**facts), value, missing, low, high, applies
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class Table:
     """Table of events; the names of columns contain the units."""
 
     name: str
-    title: str
-    columns: tuple[str, ...]
-    rows: Sequence[tuple[Any, ...]]
-    empty: str = "none"
+    rows: Sequence[tuple[object, ...]]
+
+    @property
+    def text(self) -> TableText:
+        """Title, columns, and the text of an empty table."""
+        return TEXTS.tables[self.name]
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,19 +101,21 @@ class Series:
     """
 
     name: str
-    title: str
-    unit: str
-    how: str
     hours: Sequence[float]
     values: Sequence[float]
     missing: str
-    others: dict[str, tuple[Sequence[float], Sequence[float]]] | None = None
+    others: Mapping[str, tuple[Sequence[float], Sequence[float]]] = field(default_factory=dict)
     label: str = "measured"
     steps: bool = False
 
     def __post_init__(self) -> None:
         if self.values:
             object.__setattr__(self, "missing", "")
+
+    @property
+    def text(self) -> SeriesText:
+        """Title, unit and source."""
+        return TEXTS.series[self.name]
 
 
 def quantile(values: Sequence[float], part: float) -> float:

@@ -23,59 +23,34 @@ def series_of(evidence: Evidence) -> Iterator[Series]:
     """Yield a series for each stored quantity."""
     yield record_series(evidence)
     times, real = times_of_sets(evidence), evidence.experiment.clock == "wall"
-    hours = [hour for hour, _, _ in times]
-    late = [late for _, late, _ in times] if real else []
-    yield Series(
-        "start_delay_s",
-        "Start of each set after it was due",
-        "s",
-        "started_utc_ns - due_utc_ns",
-        hours if real else (),
-        late,
-        "no set has begun" if real else NO_TIME,
-    )
-    title, how = "Duration of each set", "ended_utc_ns - started_utc_ns, in the test's time"
-    took = [took for _, _, took in times]
-    yield Series("set_duration_s", title, "s", how, hours, took, "no set has ended")
+    hours, late, took = ([one[k] for one in times] for k in range(3))
+    if not real:
+        yield Series("start_delay_s", (), (), NO_TIME)
+    else:
+        yield Series("start_delay_s", hours, late, "no set has begun")
+    yield Series("set_duration_s", hours, took, "no set has ended")
     machine_readings = readings(evidence)
     hours = [reading.hour for reading in machine_readings]
     stages = [reading.payload["stage_s"] for reading in machine_readings]
     fsync_s = [stage.get("fsync_s", 0.0) + stage.get("directory_fsync_s", 0.0) for stage in stages]
-    yield Series(
-        "line_cost_s",
-        "Wall time of the line a set",
-        "s",
-        "extracting, storing, judging and committing; of it fsync beside",
-        hours,
-        [cost_s(reading) for reading in machine_readings],
-        NOT_KEPT,
-        {"fsync": (hours, fsync_s)},
-    )
+    costs_s = [cost_s(reading) for reading in machine_readings]
+    yield Series("line_cost_s", hours, costs_s, NOT_KEPT, {"fsync": (hours, fsync_s)})
     missing = NOT_AVAILABLE if machine_readings else NOT_KEPT
-    for name, title, unit in (
-        ("resident_bytes", "Memory of the recorder", "B"),
-        ("open_handles", "Open handles of the recorder", "1"),
-        ("free_bytes", "Free on the volume", "B"),
-    ):
-        yield Series(name, title, unit, f"{name} at the end of each set", *_kept(evidence, name), missing)
+    for name in ("resident_bytes", "open_handles", "free_bytes"):
+        yield Series(name, *_kept(evidence, name), missing)
     due_h = {due.set_index: due.due_h for due in evidence.planned}
     files = [(due_h[index], size) for index, size in sorted(evidence.file_bytes.items()) if index in due_h]
     hours = [hour for hour, _ in files]
     forecast = [(number + 1) * evidence.forecast_bytes for number in range(len(files))]
     yield Series(
         "files_bytes",
-        "Files of the sets, together",
-        "B",
-        "running sum of their sizes; beside it the forecast of check-config for whole sets",
         hours,
         list(accumulate(size for _, size in files)),
         "no set has a file yet",
         {"forecast": (hours, forecast)},
         steps=True,
     )
-    title, how = "Computer's UTC less the test's time", "clock_ahead_s at the end of each set"
-    ahead = _kept(evidence, "clock_ahead_s")
-    yield Series("clock_ahead_s", title, "s", how, *ahead, NOT_KEPT if real else NO_TIME)
+    yield Series("clock_ahead_s", *_kept(evidence, "clock_ahead_s"), NOT_KEPT if real else NO_TIME)
 
 
 def _kept(evidence: Evidence, name: str) -> tuple[list[float], list[float]]:

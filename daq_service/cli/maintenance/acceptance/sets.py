@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from daq_service.acquisition.schedule import DueSet
 from daq_service.catalogue.rows import SetRow
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
-from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table
+from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table, quantity
 from hardware_drivers.methods import PULSE_ECHO
 
-SECTION = "Sets and records"
 UNTOLD = "no recorder told of it"
 NO_SETS = "no set is due yet"
 
@@ -79,69 +78,31 @@ def set_quantities(evidence: Evidence) -> list[Quantity]:
         for place in evidence.settings.positions.values()
     )
     planned = sum(row.n_planned for row in evidence.sets) + len(untold) * of_a_set
-    n_taken, n_valid = sum(evidence.accepted.values()), sum(row.n_valid for row in evidence.sets)
-    longest = max(found, key=lambda gap: gap.hours, default=None)
+    n_taken = sum(evidence.accepted.values())
 
-    def number(name: str, text: str, value: int, how: str) -> Quantity:
-        return Quantity(SECTION, name, text, "1", how, value)
+    n_valid = sum(row.n_valid for row in evidence.sets)
+    numbers = {
+        "sets_planned": len(evidence.planned),
+        "sets_due": evidence.due,
+        "sets_taken": len(taken),
+        "sets_partial": len(partial),
+        "sets_missed": missed,
+        "sets_taken_fraction": _fraction(len(taken), len(taken) + missed),
+        "records_planned": planned,
+        "records_taken": n_taken,
+        "records_valid": n_valid,
+        "strikes_without_record": sum(row.n_missed for row in evidence.sets),
+        "restrikes": sum(row.n_restrikes for row in evidence.sets),
+        "records_taken_fraction": _fraction(n_taken, planned),
+        "records_valid_fraction": _fraction(n_valid, n_taken),
+        "gaps": len(found),
+        "longest_gap_h": max((gap.hours for gap in found), default=0.0),
+    }
+    return [quantity(name, value, NO_SETS) for name, value in numbers.items()]
 
-    def fraction(name: str, text: str, part: int, whole: int, how: str) -> Quantity:
-        return Quantity(SECTION, name, text, "1", how, part / whole if whole else None, NO_SETS)
 
-    return [
-        number("sets_planned", "sets of the whole schedule", len(evidence.planned), "phases of the schedule"),
-        number("sets_due", "sets due so far", evidence.due, "due times until now, or the end of the test"),
-        number("sets_taken", "sets with a record", len(taken), "sets with n_taken above 0 at a position"),
-        number("sets_partial", "of these, lacking something", len(partial), "a position partial or missed"),
-        number("sets_missed", "sets without a record", missed, "due, and every row missed or none there"),
-        fraction(
-            "sets_taken_fraction",
-            "part of the due sets that was taken",
-            len(taken),
-            len(taken) + missed,
-            "sets_taken / (sets_taken + sets_missed)",
-        ),
-        number(
-            "records_planned", "records planned of these sets", planned, "sum of n_planned, retired are 0"
-        ),
-        number("records_taken", "records taken", n_taken, "shots and echoes with an accepted record"),
-        number("records_valid", "records valid", n_valid, "sum of n_valid: the quality gate found them good"),
-        number(
-            "strikes_without_record",
-            "strikes and echoes that left no record",
-            sum(row.n_missed for row in evidence.sets),
-            "sum of n_missed",
-        ),
-        number(
-            "restrikes",
-            "strikes repeated by the quality gate",
-            sum(row.n_restrikes for row in evidence.sets),
-            "sum of n_restrikes",
-        ),
-        fraction(
-            "records_taken_fraction",
-            "part of the planned records that was taken",
-            n_taken,
-            planned,
-            "records_taken / records_planned",
-        ),
-        fraction(
-            "records_valid_fraction",
-            "part of the taken records that is valid",
-            n_valid,
-            n_taken,
-            "records_valid / records_taken",
-        ),
-        number("gaps", "gaps", len(found), "runs of sets without a record"),
-        Quantity(
-            SECTION,
-            "longest_gap_h",
-            "longest gap",
-            "h",
-            "from the set with a record before it to the next one; at an end, to hour 0 or now",
-            0.0 if longest is None else longest.hours,
-        ),
-    ]
+def _fraction(part: int, total: int) -> float | None:
+    return part / total if total else None
 
 
 def gap_table(evidence: Evidence) -> Table:
@@ -150,13 +111,7 @@ def gap_table(evidence: Evidence) -> Table:
         (gap.sets[0].set_index, len(gap.sets), gap.from_h, gap.until_h, gap.hours, "; ".join(gap.causes))
         for gap in gaps(evidence)
     ]
-    return Table(
-        name="gaps",
-        title="Gaps: time between sets with a record, around those without",
-        columns=("first set", "sets", "from (h)", "until (h)", "length (h)", "cause"),
-        rows=rows,
-        empty="none: every due set has a record",
-    )
+    return Table("gaps", rows)
 
 
 def shortfall_table(evidence: Evidence) -> Table:
@@ -177,23 +132,12 @@ def shortfall_table(evidence: Evidence) -> Table:
         )
         for (state, cause), set_rows in found.items()
     ]
-    return Table(
-        name="shortfalls",
-        title="Records lacking in sets that were taken",
-        columns=("state", "positions", "sets", "records lacking", "first (h)", "cause"),
-        rows=rows,
-        empty="none: each of these sets is whole",
-    )
+    return Table("shortfalls", rows)
 
 
 def flag_table(evidence: Evidence) -> Table:
     """Return the table of shots by flag."""
-    return Table(
-        name="flags",
-        title="Records by what the analysis flagged them with",
-        columns=("flag", "records"),
-        rows=sorted(evidence.flags.items(), key=lambda item: -item[1]),
-    )
+    return Table("flags", Counter(evidence.flags).most_common())
 
 
 def record_series(evidence: Evidence) -> Series:
@@ -208,14 +152,5 @@ def record_series(evidence: Evidence) -> Series:
     indices = sorted(lines["planned"])
     x = [hours[index] for index in indices]
     values = {name: [counter[index] for index in indices] for name, counter in lines.items()}
-    return Series(
-        "records_per_set",
-        "Valid records of each set",
-        "1",
-        "sums over the positions of n_valid; planned and taken beside",
-        x,
-        values["valid"],
-        NO_SETS,
-        {name: (x, values[name]) for name in ("planned", "taken")},
-        label="valid",
-    )
+    others = {name: (x, values[name]) for name in ("planned", "taken")}
+    return Series("records_per_set", x, values["valid"], NO_SETS, others, label="valid")

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
-from html import escape
 from importlib.metadata import version
-from typing import Any
 
 from daq_service.alarms.evidence import evidence_sentences
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.transitions import transition
 from daq_service.catalogue.rows import values
 from daq_service.cli.offline.evidence.figures import Picture
-from daq_service.clock import format_utc
 from daq_service.recording.reassessment.changes import NOT_COMPARED
 from daq_service.recording.reassessment.explanation import Explained, Recomputed
-from daq_service.web.report.page import STYLE, plain_text, table
+from daq_service.web.report.page import history_cells
+from daq_service.web.templates import render
 
-STATE = "averages"
-"""Internal state of chart and diagnosis: only in the JSON."""
+NOT_SHOWN = (*NOT_COMPARED, "averages")
+"""Columns of an assessment that only the JSON has; averages are the state of chart and diagnosis."""
 
 
 def title_of(found: Explained) -> str:
@@ -50,34 +48,25 @@ def recomputation_text(found: Explained) -> str:
 
 def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
     """Return the HTML page."""
-    alarm, title = found.alarm, title_of(found)
-    sections = {
-        "What was found": _finding_section(found),
-        "The picture": [_figure(picture) for picture in pictures],
-        "Does it come out again?": _recomputation_section(found),
-        "What to do first": _guidance(alarm.kind),
-        "Its history": [_history(found)],
-        "Evidence, as stored": [table("", (), _rows(alarm.evidence))],
-    }
-    introduction = (
-        f"Raised at hour {alarm.raised_h:.2f} ({format_utc(alarm.raised_utc_ns, 0)}) of the test "
-        f"{found.experiment.name}; priority {alarm.priority}, now {alarm.state.replace('_', ' ')}. "
-        f"Explained by solimon {version('solimon')}."
+    recomputed = () if found.again is None else found.again.assessments
+    of_set = next((row for row in recomputed if row.set_index == found.alarm.raised_set_index), None)
+    assessment = {} if of_set is None else values(of_set)
+    return render(
+        "alarm.html.j2",
+        title=title_of(found),
+        found=found,
+        sentences=_sentences(found),
+        pictures=pictures,
+        recomputation=recomputation_text(found),
+        assessment=_known({name: assessment[name] for name in assessment if name not in NOT_SHOWN}),
+        guidance=GUIDANCE.get(found.alarm.kind),
+        history_cells=history_cells,
+        evidence=_known(found.alarm.evidence),
     )
-    parts = [
-        "<!doctype html><html lang='en'><head><meta charset='utf-8'>",
-        "<meta name='viewport' content='width=device-width, initial-scale=1'>",
-        f"<title>{escape(title)}</title><style>{STYLE}</style></head><body>",
-        f"<header><h1>{escape(title)}</h1><p class='note'>{escape(introduction)}</p></header><main>",
-    ]
-    for heading, content in sections.items():
-        if content:
-            parts += [f"<section><h2>{escape(heading)}</h2>", *content, "</section>"]
-    return "\n".join([*parts, "</main></body></html>\n"]).encode()
 
 
-def facts_of(found: Explained) -> dict[str, Any]:
-    """Return all contents of the page, and the rows behind it, as plain_text values."""
+def facts_of(found: Explained) -> dict[str, object]:
+    """Return all contents of the page, and the rows behind it, as plain values."""
     recomputed, guidance = found.again, GUIDANCE.get(found.alarm.kind)
     return {
         "test": found.experiment.name,
@@ -95,7 +84,7 @@ def facts_of(found: Explained) -> dict[str, Any]:
     }
 
 
-def _facts_of(recomputed: Recomputed) -> dict[str, Any]:
+def _facts_of(recomputed: Recomputed) -> dict[str, object]:
     """Return the recomputed values."""
     pulses = recomputed.pulses
     return {
@@ -117,93 +106,10 @@ def _sentences(found: Explained) -> list[str]:
     return evidence_sentences(found.alarm, {} if baseline is None else {baseline.id or 0: baseline})
 
 
-def _finding_section(found: Explained) -> list[str]:
-    """Return the HTML of the alarm's message and evidence."""
-    message = found.alarm.message
-    return [
-        f"<p><strong>{escape(message[:1].upper() + message[1:])}</strong></p>",
-        *(f"<p>{escape(sentence)}</p>" for sentence in _sentences(found)),
-    ]
-
-
-def _figure(picture: Picture) -> str:
-    """Return the HTML of a figure."""
-    label = escape(picture.description, quote=True)
-    return (
-        f"<figure role='img' aria-label='{label}'>{picture.svg}</figure>"
-        f"<p class='note'>{escape(picture.description)}</p>"
-    )
-
-
-def _recomputation_section(found: Explained) -> list[str]:
-    """Return the HTML of the recomputation's result."""
-    parts = [f"<p>{escape(recomputation_text(found))}</p>"]
-    recomputed = found.again
-    if recomputed is None:
-        return parts
-    rows = [
-        (
-            f"{one.table} {one.column}",
-            str(one.n_rows),
-            str(one.first_set_index),
-            plain_text(one.stored),
-            plain_text(one.again),
-        )
-        for one in recomputed.differences
-    ]
-    head = ("What", "Sets", "First set", "Stored", "Recomputed")
-    parts.append(table("Values are those of the first set that differs", head, rows))
-    if assessment := next(
-        (r for r in recomputed.assessments if r.set_index == found.alarm.raised_set_index), None
-    ):
-        row = {
-            name: value for name, value in values(assessment).items() if name not in (*NOT_COMPARED, STATE)
-        }
-        parts.append(table(f"Verdict of set {assessment.set_index}, recomputed", (), _rows(row)))
-    return parts
-
-
-def _rows(facts: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """Return name and value of all non-empty facts."""
-    return [
-        (
-            name,
-            plain_text(
-                {k: v for k, v in value.items() if v is not None} if isinstance(value, Mapping) else value
-            ),
-        )
-        for name, value in facts.items()
-        if value is not None
-    ]
-
-
-def _guidance(kind: str) -> list[str]:
-    """Return the HTML of the guidance for a kind of alarm."""
-    if (guidance := GUIDANCE.get(kind)) is None:
-        return []
-    rows = [
-        ("It says", guidance.meaning),
-        ("It does not say", guidance.limitations),
-        ("Whom to call", guidance.contact),
-    ]
-    return [
-        f"<ol>{''.join(f'<li>{escape(step)}</li>' for step in guidance.checks)}</ol>",
-        table("", (), rows),
-    ]
-
-
-def _history(found: Explained) -> str:
-    """Return the HTML of the alarm's events."""
-    rows = []
-    for event in found.history:
-        change = transition(event)
-        rows.append(
-            (
-                format_utc(event.utc_ns, 0),
-                event.kind.replace("_", " "),
-                (change["state"] or "").replace("_", " "),
-                change["who"] or "",
-                (change["why"] or "") if change["who"] else "",
-            )
-        )
-    return table("", ("When", "What", "State", "By", "Why"), rows, "No event tells of it.")
+def _known(facts: Mapping[str, object]) -> Iterator[tuple[str, object]]:
+    """Yield name and value of the facts that have a value."""
+    for name, value in facts.items():
+        if isinstance(value, Mapping):
+            yield name, {key: item for key, item in value.items() if item is not None}
+        elif value is not None:
+            yield name, value

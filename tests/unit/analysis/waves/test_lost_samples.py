@@ -6,7 +6,7 @@ from support.synthetic_records import Scene, cos4
 
 from analysis.waves.features import extract_from_volts
 
-N_SAMPLES, CLEAN_SNR_DB = 13_600, (20, 30, 40, 50, 60, 70, 80)
+N_SAMPLES = 13_600
 
 
 def record(random, bits=16, snr_db=40.0, range_v=2.0):
@@ -68,22 +68,11 @@ def test_several_lost_blocks_are_lost_samples():
     assert flags_of(volts) == ("lost_samples",)
 
 
-def flagged_clean(bits, snr_db, n):
-    random = np.random.default_rng([bits, snr_db])
-    return [found for _ in range(n) if (found := flags_of(record(random, bits, snr_db)))]
-
-
-@pytest.mark.parametrize("snr_db", CLEAN_SNR_DB)
+@pytest.mark.parametrize("snr_db", [20, 30, 40, 50, 60, 70, 80])
 @pytest.mark.parametrize("bits", [8, 12, 16])
 def test_no_clean_record_is_flagged(bits, snr_db):
-    assert flagged_clean(bits, snr_db, 15) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("snr_db", CLEAN_SNR_DB)
-@pytest.mark.parametrize("bits", [8, 12, 16])
-def test_none_of_300_clean_records_is_flagged(bits, snr_db):
-    assert flagged_clean(bits, snr_db, 300) == []
+    random = np.random.default_rng([bits, snr_db])
+    assert [flags_of(record(random, bits, snr_db)) for _ in range(15)] == [()] * 15
 
 
 @pytest.mark.parametrize("snr_db", [40.0, 60.0])

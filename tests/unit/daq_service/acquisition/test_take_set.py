@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import MissedShot, SetPlan, strikes_after, take_set
+from daq_service.acquisition.strikes_ahead import strikes_after
+from daq_service.acquisition.take_set import MissedShot, SetPlan, take_set
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     ConfigurationError,

@@ -9,17 +9,9 @@ from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import RestrikeRule
-from daq_service.acquisition import taken_set as taken_set_module
-from daq_service.acquisition.take_set import MissedShot
-from daq_service.acquisition.taken_set import (
-    TakenSet,
-    analysed,
-    features_of,
-    n_missed,
-    n_restrikes,
-    n_tried,
-    superseded,
-)
+from daq_service.acquisition import shot_features
+from daq_service.acquisition.shot_features import analysed, features_of
+from daq_service.acquisition.take_set import MissedShot, TakenSet, n_missed, n_restrikes, n_tried, superseded
 from daq_service.archive import MissedRecord
 from hardware_drivers.errors import BusyError, ConnectionLostError
 from hardware_drivers.instruments import Acquired
@@ -90,8 +82,8 @@ def test_a_failed_analysis_flags_only_its_shot(monkeypatch):
     def fails(waveform):
         raise ZeroDivisionError("a fault of the analysis")
 
-    monkeypatch.setattr(taken_set_module, "extract_features", fails)
-    found = taken_set_module.features_of(make_shot("B", 0, 1))
+    monkeypatch.setattr(shot_features, "extract_features", fails)
+    found = shot_features.features_of(make_shot("B", 0, 1))
     assert (found.flags, found.valid, found.quality) == (("not_analysed",), False, "bad")
 
 
@@ -161,7 +153,7 @@ def test_records_of_a_worker_bring_the_features_that_the_recorder_would_extract(
     own = [features_of(shot) for shot in shots]
     acquired = [None, *(Acquired(waveform=shot.waveform) for shot in shots)]
     missing, *found = pickle.loads(pickle.dumps(analysed(acquired)))
-    monkeypatch.setattr("daq_service.acquisition.taken_set.extract_features", None)
+    monkeypatch.setattr("daq_service.acquisition.shot_features.extract_features", None)
     assert missing is None
     assert [features_of(replace(s, waveform=a.waveform)) for s, a in zip(shots, found, strict=True)] == own
     for shot, one in zip(shots, found, strict=True):

@@ -8,7 +8,8 @@ from hypothesis import strategies as st
 
 from daq_service.alarms.delays import apply_delays
 from daq_service.alarms.guidance import GUIDANCE
-from daq_service.alarms.states import Condition, Moment, acknowledge, update
+from daq_service.alarms.operator_actions import acknowledge
+from daq_service.alarms.states import Condition, Moment, update
 from daq_service.settings.alarm_delays import DEAD_BAND_KINDS, LONGEST_DELAY_S, AlarmKindSettings
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -33,12 +34,12 @@ class Alarm:
     """Alarm that is updated with one condition after another."""
 
     def __init__(self, **rule):
-        self.kinds = {"wall_change": AlarmKindSettings(**rule)}
+        self.rule = AlarmKindSettings(**rule)
         self.row, self.since_ns, self.events = None, None, []
 
     def update(self, at_s, present, times_limit=None):
         now = condition(present, times_limit=times_limit)
-        now, self.since_ns = apply_delays(self.row, now, self.since_ns, moment(at_s), self.kinds)
+        now, self.since_ns = apply_delays(self.row, now, self.since_ns, moment(at_s), self.rule)
         change = None if now is None else update(self.row, now, moment(at_s))
         if change is not None:
             self.row = replace(change.row, id=1)

@@ -5,14 +5,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from daq_service.alarms.states import (
-    Condition,
-    Moment,
-    acknowledge,
-    reset,
-    retired_positions,
-    update,
-)
+from daq_service.alarms.operator_actions import acknowledge, reset
+from daq_service.alarms.states import Condition, Moment, retired_positions, update
 from daq_service.catalogue.rows import AlarmRow, AlarmState
 
 

@@ -4,17 +4,15 @@ from dataclasses import replace
 
 import pytest
 
-from daq_service.alarms.states import (
-    Condition,
-    Moment,
+from daq_service.alarms.operator_actions import (
     acknowledge,
     end_expired_shelf,
     end_suppression,
     shelve,
     take_out_of_service,
-    update,
     without_expired_shelf,
 )
+from daq_service.alarms.states import Condition, Moment, update
 from daq_service.catalogue.rows import AlarmRow
 from hardware_drivers.nanoseconds import NS_PER_H
 

@@ -13,7 +13,7 @@ from daq_service.archive import PositionRecord
 from daq_service.archive.waterfall.cells import anchors_of, frame_of, planes_of_records
 from daq_service.archive.waterfall.image import SETS_AT_ONCE, Wanted, WaterfallReader
 from daq_service.archive.waterfall.tile_files import tiles_of, write_tiles_of_set
-from daq_service.archive.waterfall.tiles import LEVELS, TILES_FOLDER, n_bytes
+from daq_service.archive.waterfall.tiles import TILES_FOLDER, WIDTHS, n_bytes
 
 N_SETS = 70
 MISSED = {5, 6, 7, 40}
@@ -228,9 +228,9 @@ def test_tiles_of_another_experiment_are_ignored_and_replaced(tmp_path, stored, 
     foreign = Stored()
     foreign.records = {index: other_set(foreign.records[0], index) for index in foreign.files}
     foreign.keep(tmp_path, experiment="cd/1", indices=[0])
-    assert tiles("trigger").row(0, 0) is None
+    assert tiles("trigger").row(1, 0) is None
     stored.keep(tmp_path, indices=[0])
-    row = tiles("trigger").row(0, 0)
+    row = tiles("trigger").row(1, 0)
     expected = stored.expected(tiles("trigger"), tiles("trigger").frame, 0, 0)
     np.testing.assert_array_equal(row.planes, expected[0])
 
@@ -265,7 +265,7 @@ def test_existing_folders_are_not_created_again(copied, stored, monkeypatch):
 def test_the_tiles_do_not_depend_on_the_order_of_the_sets(kept, tmp_path, stored):
     stored.keep(tmp_path, indices=sorted(stored.files, key=lambda index: (index * 37) % N_SETS))
     paths = list(kept.rglob("*.tile"))
-    assert len(paths) == 2 * (LEVELS + 1), "two at the finest level, each alignment"
+    assert len(paths) == 2 * (len(WIDTHS) + 1), "two at the finest level, each alignment"
     for path in paths:
         assert (tmp_path / path.relative_to(kept)).read_bytes() == path.read_bytes()
     assert n_bytes(tmp_path) == n_bytes(kept) > 0
@@ -292,9 +292,9 @@ def test_a_set_without_a_pulse_has_an_empty_row_and_does_not_spoil_those_above(t
     stored.keep(tmp_path, indices=[0, 1, 2])
     write_tiles_of_set(tmp_path, EXPERIMENT, stored.records[3], anchors_of({}))
     aligned = tiles("first")
-    assert np.isnan(aligned.row(0, 3).planes).all()
-    assert aligned.row(1, 0).n_sets == 4
-    assert np.isfinite(aligned.row(1, 0).planes).any()
+    assert np.isnan(aligned.row(1, 3).planes).all()
+    assert aligned.row(4, 0).n_sets == 4
+    assert np.isfinite(aligned.row(4, 0).planes).any()
 
 
 def test_the_mean_over_the_baseline_is_that_of_its_extremes(tmp_path, stored, tiles):

@@ -37,7 +37,9 @@ class Line:
         self.folder, self.now_s, self.room, self.read = folder, 0.0, True, []
         self.archive = FolderArchive(folder)
         self.records = {index: other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + N_SETS)}
-        self.files = {index: self.archive.store_set(record).file for index, record in self.records.items()}
+        self.files = {
+            SetKey(index): self.archive.store_set(record).file for index, record in self.records.items()
+        }
         self.compaction = SetFinalizer(
             folder, self.archive, start=AtOnce, results=lambda set_index: RESULTS, also=self.tile
         )
@@ -57,8 +59,8 @@ class Line:
     def file(self, *, room=True):
         """Write the files of all sets; without free space they get no tiles."""
         self.room = room
-        for index in self.files:
-            self.compaction.after_set(SetKey(index))
+        for set_key in self.files:
+            self.compaction.after_set(set_key)
             self.compaction.run_for(0.0)
         self.room = True
         assert len(list((self.folder / "sets").iterdir())) == N_SETS
@@ -67,7 +69,7 @@ class Line:
         return tiles_of(self.folder, "ab/1", self.records[SET_INDEX], position, alignment)
 
     def kept(self):
-        return [index for index in self.files if self.tiles().has_set(index)]
+        return [key for key in self.files if self.tiles().has_set(key.set_index)]
 
     def work(self, free_s=0.0):
         """Run the task once and collect its result."""
@@ -86,8 +88,8 @@ def line(tmp_path):
 def test_a_set_with_a_file_gets_tiles_without_free_time(line):
     """The coarser rows of incomplete blocks follow in free time; until then readers join finer ones."""
     line.file()
-    assert all(line.tiles().row(0, index) for index in line.files)
-    assert [line.tiles().row(1, 2).n_sets, line.tiles().row(2, 0)] == [4, None]
+    assert all(line.tiles().row(1, index) for index in line.records)
+    assert [line.tiles().row(4, 2).n_sets, line.tiles().row(16, 0)] == [4, None]
     assert line.kept() == []
     line.work(free_s=QUIET_S + 1)
     assert line.kept() == list(line.files)
@@ -95,7 +97,7 @@ def test_a_set_with_a_file_gets_tiles_without_free_time(line):
         tiles = line.tiles(position, alignment)
         record = line.records[SET_INDEX]
         expected = planes_of_set(record, position, alignment, anchors_of(RESULTS), tiles.frame)
-        np.testing.assert_array_equal(tiles.row(0, SET_INDEX).planes, expected)
+        np.testing.assert_array_equal(tiles.row(1, SET_INDEX).planes, expected)
 
 
 def test_in_idle_time_older_sets_get_tiles_newest_first(line):
@@ -125,12 +127,12 @@ def test_a_corrupt_tile_is_made_again_in_the_next_round(line):
     content = bytearray(path.read_bytes())
     content[-9] ^= 1
     path.write_bytes(content)
-    newest = list(line.files)[-1]
-    assert line.tiles().row(0, newest) is None
+    newest = list(line.records)[-1]
+    assert line.tiles().row(1, newest) is None
     for _ in range(2):
         line.work(free_s=QUIET_S + 1)
         line.now_s += EVERY_S
-    assert line.tiles().row(0, newest) is not None
+    assert line.tiles().row(1, newest) is not None
     assert line.kept() == list(line.files)
 
 
@@ -186,7 +188,7 @@ def test_rebuild_makes_the_tiles_of_an_older_folder(copy_of_older_version):
             for place in {taken.key.position for taken in record.records}:
                 tiles = tiles_of(copy_of_older_version.folder, name, record, place, "first")
                 expected = planes_of_set(record, place, "first", anchors, tiles.frame)
-                np.testing.assert_array_equal(tiles.row(0, record.set_index).planes, expected)
+                np.testing.assert_array_equal(tiles.row(1, record.set_index).planes, expected)
 
 
 def test_rebuild_continues_if_old_tiles_cannot_be_removed(copy_of_older_version):

@@ -12,7 +12,7 @@ import orjson
 import pytest
 from sqlalchemy import event
 
-from daq_service.catalogue import SetCommit, check_owner, connection, open_catalogue
+from daq_service.catalogue import SetCommit, check_owner, connection, open_catalogue, stored_rows
 from daq_service.catalogue.errors import (
     CatalogueBusyError,
     CatalogueConflictError,
@@ -23,18 +23,17 @@ from daq_service.catalogue.errors import (
     NoDataYetError,
     OtherExperimentError,
 )
-from daq_service.catalogue.row_checksum import storable
 from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
     BaselineRow,
-    EnvironmentRow,
     EventRow,
     FeatureRow,
     SetRow,
     ShotRow,
     ThicknessRow,
 )
+from daq_service.catalogue.stored_rows import storable
 from daq_service.catalogue.tables import features, sets
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings
@@ -590,24 +589,6 @@ def test_an_alarm_that_does_not_exist_cannot_be_changed(writer, reader):
     assert reader.rows(SetRow) == []
 
 
-def test_alarms_are_listed_by_position_and_state(writer, reader):
-    writer.commit_set(
-        SetCommit(
-            alarms=[
-                alarm_row(state="normal"),
-                alarm_row(),
-                alarm_row("C", "no_reflection"),
-                alarm_row(None, "few_valid_shots", alarm_class="diagnostic"),
-            ]
-        )
-    )
-    assert [row.id for row in reader.rows(AlarmRow, position="B")] == [1, 2]
-    assert [row.id for row in reader.rows(AlarmRow, active=True)] == [2, 3, 4]
-    assert [row.id for row in reader.rows(AlarmRow, active=False)] == [1]
-    assert [row.id for row in reader.rows(AlarmRow, after_id=1, limit=2)] == [2, 3]
-    assert reader.alarm(99) is None
-
-
 def test_a_command_and_its_result_are_exchanged_with_the_recorder(writer, reader):
     command_id = reader.add_command("operator", "acknowledge_alarm", {"alarm_id": 3, "note": "seen"})
     (pending,) = writer.open_commands()
@@ -616,10 +597,10 @@ def test_a_command_and_its_result_are_exchanged_with_the_recorder(writer, reader
         "operator",
         {"alarm_id": 3, "note": "seen"},
     )
-    writer.finish_command(command_id, "refused", "alarm 3 is normal")
+    writer.finish_command(command_id, "rejected", "alarm 3 is normal")
     assert writer.open_commands() == []
     answered = reader.command(command_id)
-    assert (answered.state, answered.result) == ("refused", "alarm 3 is normal")
+    assert (answered.state, answered.result) == ("rejected", "alarm 3 is normal")
     assert answered.finished_wall_utc_ns >= answered.wall_utc_ns
     assert reader.command(99) is None
 
@@ -654,80 +635,6 @@ def filled(writer, reader):
     return reader
 
 
-def test_sets_are_filtered_and_paged(filled):
-    assert [row.set_index for row in filled.rows(SetRow, position="B")] == [0, 1, 2, 3, 4, 5]
-    assert filled.rows(SetRow, state="missed") == []
-    first = filled.rows(SetRow, limit=4)
-    rest = filled.rows(SetRow, after_id=first[-1].id)
-    assert len(first) == 4
-    assert [row.id for row in first + rest] == [row.id for row in filled.rows(SetRow)]
-    assert [row.set_index for row in filled.rows(SetRow, position="B", first_h=2.0, last_h=3.5)] == [2, 3]
-
-
-def test_features_are_filtered_by_hours_inclusive(filled):
-    assert [
-        row.set_index for row in filled.rows(FeatureRow, position="C", first_h=2.0, last_h=4.0, scope="set")
-    ] == [2, 3, 4]
-    assert len(filled.rows(FeatureRow, position="C", scope="shot", first_h=5.0)) == 2
-    assert [row.shot_index for row in filled.rows(FeatureRow, position="C", scope="shot", set_index=1)] == [
-        0,
-        1,
-    ]
-    page = filled.rows(FeatureRow, position="C", limit=2, scope="set")
-    assert [
-        row.set_index for row in filled.rows(FeatureRow, position="C", after_id=page[-1].id, scope="set")
-    ] == [2, 3, 4, 5]
-    assert [row.set_index for row in filled.rows(AssessmentRow, position="B", first_h=4.5)] == [5]
-    assert [row.set_index for row in filled.rows(ThicknessRow, position="A", last_h=0.0)] == [0]
-
-
-def environment_row(index, **changes):
-    row = {
-        "set_index": index,
-        "due_h": float(index),
-        "supply_state": "on",
-        "supply_quality": "good",
-        "voltage_v": 10.0,
-        "current_a": NAN,
-        "climate_quality": "absent",
-    }
-    return EnvironmentRow(**row | changes)
-
-
-def test_environment_rows_are_filtered_by_hours_and_paged(writer, reader):
-    assert (reader.rows(EnvironmentRow), reader.last_environment()) == ([], None)
-    for index in range(4):
-        writer.commit_set(SetCommit(environment=[environment_row(index)]))
-    assert [row.set_index for row in reader.rows(EnvironmentRow, first_h=1.0, last_h=2.0)] == [1, 2]
-    page = reader.rows(EnvironmentRow, limit=2)
-    assert [row.set_index for row in reader.rows(EnvironmentRow, after_id=page[-1].id)] == [2, 3]
-    last = reader.last_environment()
-    assert (last.set_index, last.voltage_v, last.current_a) == (3, 10.0, None)
-    with pytest.raises(CatalogueConflictError, match="such a row exists"):
-        writer.commit_set(SetCommit(environment=[environment_row(3)]))
-
-
-def event_commit(kind, **payload):
-    return SetCommit(events=[event_row(kind, "service", payload=payload)])
-
-
-def test_a_pause_is_in_force_until_it_is_resumed(writer, reader):
-    assert reader.held() is None
-    assert reader.last_service_event("pause", "resume") is None
-    for commit, held in (
-        (event_commit("pause", held="held by ann"), "held by ann"),
-        (event_commit("recorder_started"), "held by ann"),
-        (event_commit("resume", held=""), None),
-        (event_commit("pause", held="held by bob: door"), "held by bob: door"),
-    ):
-        writer.commit_set(commit)
-        assert reader.held() == held
-    assert reader.last_service_event("recorder_started", "resume").kind == "resume"
-    # Events of other topics are no service events.
-    writer.commit_set(SetCommit(events=[event_row("resume", "sets", payload={"held": ""})]))
-    assert reader.held() == "held by bob: door"
-
-
 def test_trends_have_columns(filled):
     assert filled.columns(FeatureRow, ["set_index", "tof_pp_s"], position="B", scope="set", first_h=4.0) == {
         "set_index": [4, 5],
@@ -749,25 +656,6 @@ def test_an_unknown_column_is_refused_by_name(filled):
         filled.columns(FeatureRow, ["tof"], position="B", scope="set")
 
 
-def test_the_state_of_a_position_has_its_latest_rows(writer, filled):
-    writer.commit_set(
-        SetCommit(
-            sets=[set_row(6, "B", "missed", 0)],
-            alarms=[alarm_row(), alarm_row("C", state="normal")],
-        )
-    )
-    state = filled.positions_state()
-    assert list(state) == ["A", "B", "C"]
-    assert (state["B"].last_set.set_index, state["B"].last_set.state) == (6, "missed")
-    assert (state["B"].last_feature.set_index, state["B"].last_feature.shot_index) == (5, None)
-    assert state["C"].last_assessment.set_index == 5
-    assert state["A"].method == "pulse_echo"
-    assert state["A"].last_thickness.set_index == 5
-    assert (state["A"].last_feature, state["B"].last_thickness) == (None, None)
-    assert [row.kind for row in state["B"].active_alarms] == ["wall_change"]
-    assert state["C"].active_alarms == []
-
-
 def test_counts_separate_complete_missed_and_incomplete_sets(writer, filled):
     writer.commit_set(SetCommit(sets=[set_row(6, p, "missed", 0) for p in "ABC"], alarms=[alarm_row()]))
     writer.commit_set(
@@ -787,11 +675,6 @@ def test_counts_separate_complete_missed_and_incomplete_sets(writer, filled):
         "events": 18,
         "active_alarms": 1,
     }
-
-
-def test_an_empty_catalogue_counts_nothing(reader):
-    assert set(reader.counts().values()) == {0}
-    assert reader.positions_state() == {}
 
 
 def test_the_newest_baseline_is_used_and_all_are_kept(writer, reader):
@@ -845,7 +728,7 @@ def test_a_catalogue_may_be_shared_between_threads(writer, reader):
 
 
 def test_a_writer_that_waits_too_long_raises_an_error(tmp_path, monkeypatch, writer):
-    monkeypatch.setattr(connection, "BUSY_TIMEOUT_S", 0.01)
+    monkeypatch.setattr(stored_rows, "BUSY_TIMEOUT_S", 0.01)
     holder = sqlite3.connect(tmp_path / "catalogue.sqlite", isolation_level=None)
     holder.execute("BEGIN IMMEDIATE")
     with open_catalogue(tmp_path) as reader, pytest.raises(CatalogueBusyError, match=r"for 0\.01 s"):
@@ -854,7 +737,7 @@ def test_a_writer_that_waits_too_long_raises_an_error(tmp_path, monkeypatch, wri
 
 
 def test_a_writer_waits_once_for_a_lock_and_not_in_each_transaction(tmp_path, monkeypatch, writer):
-    monkeypatch.setattr(connection, "BUSY_TIMEOUT_S", 0.01)
+    monkeypatch.setattr(stored_rows, "BUSY_TIMEOUT_S", 0.01)
     waits = []
 
     @event.listens_for(writer._engine, "before_cursor_execute")

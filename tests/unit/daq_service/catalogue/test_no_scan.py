@@ -8,8 +8,6 @@ from sqlalchemy import event, func, select
 from support.new_experiment import new_catalogue
 
 from daq_service.catalogue import SetCommit, open_catalogue
-from daq_service.catalogue.reader import due_time_counts
-from daq_service.catalogue.rollups import trend_bins, trend_part
 from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
@@ -21,6 +19,8 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.catalogue.tables import events, shots
+from daq_service.catalogue.trends import trend_bins, trend_part
+from daq_service.catalogue.writer import due_time_counts
 from hardware_drivers.measurement import SetKey
 
 POSITIONS = {"A": "pulse_echo", "B": "solitary_wave", "C": "solitary_wave"}

@@ -10,17 +10,11 @@ from support.new_experiment import new_catalogue
 
 from analysis.statistics.trend import fit_trend, trend_of_part
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.connection import writing
-from daq_service.catalogue.rollups import (
-    QUALITIES,
-    rebuild_trends,
-    trend_bins,
-    trend_differences,
-    trend_part,
-    values_of,
-)
+from daq_service.catalogue.rollups import QUALITIES, values_of
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, FeatureRow, SetRow
+from daq_service.catalogue.stored_rows import writing
 from daq_service.catalogue.tables import sets, trend_blocks
+from daq_service.catalogue.trends import rebuild_trends, trend_bins, trend_differences, trend_part
 
 N_SETS, BASELINE = 330, 48
 VALUES = ("tof_pp_s", "amplitude_ratio")

@@ -12,8 +12,8 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.corruption import catalogue_corruption
 from daq_service.catalogue.errors import CatalogueDamagedError
-from daq_service.catalogue.row_checksum import row_crc32
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, FeatureRow, SetRow, ThicknessRow
+from daq_service.catalogue.stored_rows import row_crc32
 from daq_service.catalogue.writer import SetCommit
 from hardware_drivers.measurement import SetKey
 

@@ -9,10 +9,11 @@ from sqlalchemy import JSON, BigInteger, Boolean, Float, Integer, String
 
 from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue import rows
-from daq_service.catalogue.rows import payload_of
-from daq_service.catalogue.tables import ROW_CRC32, metadata, table_of
+from daq_service.catalogue.tables import ROW_CRC32, TABLES, metadata
+from daq_service.catalogue.writer import payload_of
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import with_utc
+from daq_service.web.answers.vocabulary import VOCABULARY
 
 KINDS = [kind for kind in vars(rows).values() if isinstance(kind, type) and issubclass(kind, rows.Row)]
 KINDS = [kind for kind in KINDS if kind not in (rows.Row, rows.RowOfSet)]
@@ -36,12 +37,12 @@ def alternatives(of_type):
 
 def test_every_table_holds_one_kind_of_row():
     assert len(KINDS) == 15
-    assert {table_of(kind).name for kind in KINDS} == set(metadata.tables)
+    assert {TABLES[kind].name for kind in KINDS} == set(metadata.tables)
 
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_table_has_the_fields_of_its_row_in_their_order(kind):
-    table = table_of(kind)
+    table = TABLES[kind]
     assert list(table.columns.keys()) == [*(field.name for field in dataclasses.fields(kind)), ROW_CRC32]
     assert [column.name for column in table.primary_key] == [dataclasses.fields(kind)[0].name]
     hints = {column.name: alternatives(column.type) for column in rows.columns_of(kind)}
@@ -67,7 +68,7 @@ def test_a_table_has_the_fields_of_its_row_in_their_order(kind):
     ],
 )
 def test_a_column_is_of_the_type_that_holds_its_values(kind, name, of_type):
-    assert type(table_of(kind).c[name].type) is of_type
+    assert type(TABLES[kind].c[name].type) is of_type
 
 
 def test_features_are_the_columns_of_a_feature_row():
@@ -101,8 +102,21 @@ def test_a_response_is_its_row_with_times_as_text_and_an_age(kind):
     model = getattr(models, kind.__name__)
     assert model.model_validate(answer, strict=True).model_dump(exclude_unset=True) == answer
     for column in rows.columns_of(kind):
-        if column.description is not None:
-            assert model.model_fields[column.name].description == column.description
+        if column.description is not None and column.name != "due_utc_ns":
+            assert model.model_fields[column.published_name].description == column.description
+
+
+GENERAL = {"id", "name", "kind", "author", "note", "text", "n_sets", "from_h", "utc", "created_utc"}
+GENERAL |= {"due_utc", "evidence", "wall_utc"}
+"""Names with the same meaning in answers that are no rows: `vocabulary` describes them."""
+
+
+def test_a_column_is_described_on_its_row_and_nowhere_else():
+    texts = set(VOCABULARY.meanings.values())
+    for kind in ANSWERED:
+        for column in rows.columns_of(kind):
+            assert column.description is not None or column.published_name in GENERAL, (kind, column.name)
+            assert column.description not in texts, (kind, column.name)
 
 
 def test_an_event_payload_omits_an_id_that_is_not_assigned():

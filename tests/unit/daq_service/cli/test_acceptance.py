@@ -22,7 +22,6 @@ from daq_service.cli.maintenance.acceptance.conduct import growth_quantities
 from daq_service.cli.maintenance.acceptance.contents import as_json, build_report
 from daq_service.cli.maintenance.acceptance.criteria import (
     DEFAULTS,
-    Criterion,
     compared,
     outcome,
     with_limits,
@@ -30,6 +29,7 @@ from daq_service.cli.maintenance.acceptance.criteria import (
 from daq_service.cli.maintenance.acceptance.evidence import read_evidence
 from daq_service.cli.maintenance.acceptance.page import shown
 from daq_service.cli.maintenance.acceptance.quantity import FEWEST_READINGS, Quantity, growth, quantile
+from daq_service.cli.maintenance.acceptance.texts import Criterion
 from daq_service.clock import SimulatedClock
 from daq_service.errors import UsageError
 from daq_service.processes.disk_policy import DiskSpace
@@ -284,7 +284,7 @@ def readings(values, *, recorder=1, first=0):
 
 def memory(evidence, machine):
     """Return the maximum memory and its growth."""
-    return list(growth_quantities(replace(evidence, machine=machine), "resident_bytes", "memory", "B"))
+    return list(growth_quantities(replace(evidence, machine=machine), "resident_bytes"))
 
 
 def grown(evidence, values):
@@ -435,15 +435,15 @@ def test_the_page_is_self_contained_and_complete(recorded, tmp_path):
     report = json.loads(file.read_bytes())
     # Three sets are too few for the memory trend: incomplete, but not failed.
     assert (code, report["outcome"], printed.splitlines()[-1]) == (6, "incomplete", "outcome: incomplete")
-    html = page.read_text(encoding="utf-8")
+    html = markup.unescape(page.read_text(encoding="utf-8"))
     assert "<title>Acceptance report of the test" in html
-    sources = re.findall(r"(?:src|href)='([^']*)'", html)
+    sources = re.findall(r'(?:src|href)="([^"]*)"', html)
     drawn = [name for name, one in report["series"].items() if one["values"]]
     assert len(sources) == len(drawn) >= 6
     assert all(source.startswith("data:image/png;base64,") for source in sources)
     assert not re.search(r"https?:|url\(|@import|<script", html)
     for item in report["quantities"].values():
-        assert markup.escape(item["text"]) in html
+        assert item["text"] in html
     for name in ("solimon", "numpy", report["identity"]["configuration"], "instruments", "machine"):
         assert name in html
     assert report["quantities"]["damage_found"]["value"] == 0

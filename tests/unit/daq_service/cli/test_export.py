@@ -274,8 +274,8 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "say --hdf5 FILE, or --table NAME with --out FILE"),
-        (("--table", "sets"), "wants --out"),
+        ((), "give --hdf5 FILE, or --table NAME with --out FILE"),
+        (("--table", "sets"), "needs --out"),
         (("--table", "sets", "--out", "a.xlsx"), "choose from csv, parquet"),
         (("--table", "shots", "--out", "a.csv"), "choose from sets, features"),
         (("--table", "sets", "--position", "X", "--out", "a.csv"), "choose from A, B, C, D"),
@@ -284,7 +284,7 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
         (("--hdf5", "a.h5", "--out", "a.csv"), "--out does not belong to --hdf5"),
         (("--table", "sets", "--last-set", 1, "--out", "a.csv"), "--last-set does not belong to --table"),
         (("--table", "sets", "--waveforms", "B", "--out", "a.csv"), "or --waveforms POSITION with --out"),
-        (("--waveforms", "B"), "--waveforms wants --out"),
+        (("--waveforms", "B"), "--waveforms needs --out"),
         (("--waveforms", "B", "--fields", "x", "--out", "a.h5"), "--fields does not belong to --waveforms"),
         (("--waveforms", "X", "--out", "a.h5"), "choose from A, B, C, D"),
         (("--waveforms", "B", "--from-h", 900, "--out", "a.h5"), "no record of position B"),

@@ -11,6 +11,7 @@ import tarfile
 from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
+from typing import get_args
 
 import pytest
 from support.archived_sets import make_set
@@ -29,7 +30,7 @@ from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import SetRow
 from daq_service.cli.maintenance import backup, command
 from daq_service.cli.maintenance.backup import back_up
-from daq_service.cli.maintenance.verify import KINDS, verify_folder
+from daq_service.cli.maintenance.verify import DamageKind, verify_folder
 from daq_service.cli.status.facts import describe_status
 from daq_service.commands.audit import Audit
 from daq_service.errors import BusyError, StorageError, StorageUnavailableError
@@ -110,7 +111,8 @@ def test_each_corruption_is_reported_with_exit_code_4(folder):
         ("set_missing", FILES[2], None),
     }
     assert all(
-        item["kind"] in KINDS and "repair --from BACKUP" in item["description"] for item in answer["damage"]
+        item["kind"] in get_args(DamageKind) and "repair --from BACKUP" in item["description"]
+        for item in answer["damage"]
     )
     assert state_of(folder) == before
 
@@ -161,10 +163,10 @@ def test_results_are_compared_with_their_copy_in_the_file(folder, sql, message):
 
 
 def test_missing_rows_before_later_ones_are_reported(folder):
-    for table in ("features", "assessments", "thickness", "shots", "sets"):
+    for table in ("events", "features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 1")
     assert kinds(folder) == [("file_without_rows", FILES[1], None)]
-    for table in ("features", "assessments", "thickness", "shots", "sets"):
+    for table in ("events", "features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     report = verify_folder(folder)
     assert (report.damage, report.checked["sets_without_rows"]) == ([], 2), "as a killed recorder leaves them"
@@ -210,7 +212,7 @@ def notify_three(folder):
     ("write_three", "kind", "file", "remedy"),
     [
         (audit_three, "audit", "audit.jsonl", "keep it, and look at a backup"),
-        (notify_three, "notifications", "notifications.jsonl", "a message may go out once more"),
+        (notify_three, "notifications", "notifications.jsonl", "a message may be repeated"),
     ],
 )
 @pytest.mark.parametrize(
@@ -370,6 +372,7 @@ import daq_service.web.app, daq_service.web.server
 print(*(name for name in ("pandas", "scipy", *%r) if name in sys.modules))
 
 from pathlib import Path
+from typing import get_args
 from fastapi.testclient import TestClient
 from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.processes.data_folder import settings_of_folder
@@ -445,7 +448,7 @@ def test_repair_restores_a_file_from_the_journal_or_quarantines_it(folder):
     code, answer = solimon("repair", "--apply", "--data-dir", folder)
     assert (code, [step["does"] for step in answer["steps"]]) == (0, ["from_journal"])
     assert (folder / FILES[2]).read_bytes() == content
-    for table in ("features", "assessments", "thickness", "shots", "sets"):
+    for table in ("events", "features", "assessments", "thickness", "shots", "sets"):
         change(folder, f"DELETE FROM {table} WHERE set_index = 2")
     segment_path(folder, 1).unlink()
     (folder / FILES[2]).write_bytes(content[:1000])

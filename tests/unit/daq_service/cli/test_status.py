@@ -1,10 +1,7 @@
 """Text of `solimon status`."""
 
 import re
-from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 from support.command_line import solimon_here
@@ -25,7 +22,7 @@ SETS = N_BASELINE + 2
 
 
 @pytest.fixture
-def filled(tmp_path: Path) -> Iterator[FilledFolder]:
+def filled(tmp_path):
     """Return a running test that has one set after its baseline."""
     folder = FilledFolder(tmp_path, Settings())
     for index in (0, N_BASELINE - 1, N_BASELINE, SETS - 1):
@@ -34,9 +31,7 @@ def filled(tmp_path: Path) -> Iterator[FilledFolder]:
     folder.close()
 
 
-def store_missed_set(
-    filled: FilledFolder, index: int, cause: str, *positions: str, state: str = "missed"
-) -> None:
+def store_missed_set(filled, index, cause, *positions, state="missed"):
     """Store the rows of a missed or incomplete set."""
     due = filled.due[index]
     commit = SetCommit()
@@ -56,7 +51,7 @@ def store_missed_set(
     filled.catalogue.commit_set(commit)
 
 
-def status_lines(facts: dict[str, Any]) -> list[str]:
+def status_lines(facts):
     console = console_on("stdout")
     console.width = PIPE_COLUMNS
     with console.capture() as captured:
@@ -64,16 +59,16 @@ def status_lines(facts: dict[str, Any]) -> list[str]:
     return [line.rstrip() for line in captured.get().splitlines()]
 
 
-def status_of(filled: FilledFolder) -> list[str]:
+def status_of(filled):
     return status_lines(describe_status(filled.folder, filled.settings))
 
 
-def line_of(lines: list[str], word: str) -> str:
+def line_of(lines, word):
     (found,) = [line for line in lines if line.startswith(word)]
     return re.sub(r"  +", "  ", found)
 
 
-def test_each_result_has_its_limit_quality_and_age(filled: FilledFolder) -> None:
+def test_each_result_has_its_limit_quality_and_age(filled):
     facts = describe_status(filled.folder, filled.settings)
     lines = status_lines(facts)
     word = facts["positions"]["B"]
@@ -101,7 +96,7 @@ def test_each_result_has_its_limit_quality_and_age(filled: FilledFolder) -> None
     assert line_of(lines, " A").startswith(f" A  normal  {reading}  5.71 mm  -  good  0 s")
 
 
-def test_a_diagnosis_other_than_ok_has_its_own_line(filled: FilledFolder) -> None:
+def test_a_diagnosis_other_than_ok_has_its_own_line(filled):
     facts = describe_status(filled.folder, filled.settings)
     assert not any(line.startswith("verdict") for line in status_lines(facts))
     experiment_text = {"sentence": "the wave has changed", "action": "inspect"}
@@ -118,7 +113,7 @@ def test_a_diagnosis_other_than_ok_has_its_own_line(filled: FilledFolder) -> Non
     ]
 
 
-def test_a_distance_of_another_set_is_not_shown_with_these_features(filled: FilledFolder) -> None:
+def test_a_distance_of_another_set_is_not_shown_with_these_features(filled):
     filled.add_set(SETS, stored=False, assessed=False)
     row = line_of(status_of(filled), " B")
     assert "D²" not in row
@@ -126,7 +121,7 @@ def test_a_distance_of_another_set_is_not_shown_with_these_features(filled: Fill
     assert "ToF" in row
 
 
-def test_data_that_are_older_than_the_cadence_explains_are_stale(filled: FilledFolder) -> None:
+def test_data_that_are_older_than_the_cadence_explains_are_stale(filled):
     filled.say("pause", filled.due[SETS + 2].due_utc_ns, held="held by ann: door open")
     lines = status_of(filled)
     assert "  90 min STALE  " in line_of(lines, " B")
@@ -136,7 +131,7 @@ def test_data_that_are_older_than_the_cadence_explains_are_stale(filled: FilledF
     )
 
 
-def test_status_lists_alarms_with_state_and_age(filled: FilledFolder) -> None:
+def test_status_lists_alarms_with_state_and_age(filled):
     filled.add_alarm("B", N_BASELINE, message="3 of the last 5 sets")
     filled.add_alarm(
         "C", SETS - 1, kind="no_reflection", priority="critical", state="acknowledged", message="a hole"
@@ -156,7 +151,7 @@ def test_status_lists_alarms_with_state_and_age(filled: FilledFolder) -> None:
     assert line_of(lines, " B").startswith(" B  shelved")
 
 
-def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolder) -> None:
+def test_gaps_are_named_with_their_cause_neighbours_together(filled):
     for index in range(SETS, SETS + 3):
         store_missed_set(filled, index, "held by ann")
     store_missed_set(filled, SETS + 3, "no trigger", "D")
@@ -172,7 +167,7 @@ def test_gaps_are_named_with_their_cause_neighbours_together(filled: FilledFolde
     assert [gap["set_index"] for gap in facts["gaps"]] == list(range(SETS + 14 - GAPS_A_POSITION, SETS + 14))
 
 
-def test_status_lists_open_commands_and_the_due_set(filled: FilledFolder) -> None:
+def test_status_lists_open_commands_and_the_due_set(filled):
     order = filled.catalogue.add_command("ann", "disable", {"position": "C", "note": ""}, within_s=3600.0)
     expired = filled.catalogue.add_command("bob", "pause", {"note": ""}, within_s=0.0)
     facts = describe_status(filled.folder, filled.settings)
@@ -188,7 +183,7 @@ def test_status_lists_open_commands_and_the_due_set(filled: FilledFolder) -> Non
 @pytest.mark.parametrize(
     ("level", "message"), [("ample", "free,"), ("warn", "free; low,"), ("stop", "nothing more")]
 )
-def test_status_shows_the_disk_forecast(filled: FilledFolder, level: str, message: str) -> None:
+def test_status_shows_the_disk_forecast(filled, level, message):
     facts = describe_status(filled.folder, filled.settings)
     disk = {"free_bytes": 5 * 10**9, "level": level, "needed_bytes": 7 * 10**9, "full_at_h": 200.0}
     assert level in LEVELS
@@ -198,7 +193,7 @@ def test_status_shows_the_disk_forecast(filled: FilledFolder, level: str, messag
     assert line.endswith("about 7.00 GB still to come: full at hour 200")
 
 
-def test_status_shows_the_result_of_the_last_confirmation_set(filled: FilledFolder) -> None:
+def test_status_shows_the_result_of_the_last_confirmation_set(filled):
     facts = describe_status(filled.folder, filled.settings)["confirmations"]
     assert facts == {"sets": 0, "last": None, "left_today": {"B": 2, "C": 2, "D": 2}}
     set_key = filled.add_confirmation("C", SETS - 1, authors=("", "ann"))
@@ -219,7 +214,7 @@ def test_status_shows_the_result_of_the_last_confirmation_set(filled: FilledFold
     )
 
 
-def test_status_shows_the_quality_of_each_baseline(filled: FilledFolder) -> None:
+def test_status_shows_the_quality_of_each_baseline(filled):
     promised = {"false_alarms_per_sensor_year": 0.2, "rate_verified": True, "rate_not_verified_reason": None}
     short = {
         **promised,
@@ -245,7 +240,7 @@ def test_status_shows_the_quality_of_each_baseline(filled: FilledFolder) -> None
     ]
 
 
-def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path: Path) -> None:
+def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False, assessed=False)
     reason = "a baseline of 14 sets; it needs 15"
@@ -269,7 +264,7 @@ def test_a_transducer_whose_baseline_has_no_limits_is_not_assessed(tmp_path: Pat
     filled.close()
 
 
-def test_status_shows_a_missing_file_and_a_tripped_supply(filled: FilledFolder) -> None:
+def test_status_shows_a_missing_file_and_a_tripped_supply(filled):
     facts = describe_status(filled.folder, filled.settings)
     supply = {"quality": "good", "tripped": "a hole", "description": "off; tripped: a hole"}
     lines = status_lines({**facts, "lost": {"sets/set_000001.h5": "is empty"}, "supply": supply})
@@ -279,7 +274,7 @@ def test_status_shows_a_missing_file_and_a_tripped_supply(filled: FilledFolder) 
     assert line_of(lines, "supply") == "supply  off; tripped: a hole"
 
 
-def test_the_wall_thickness_is_shown_with_its_interval(tmp_path: Path) -> None:
+def test_the_wall_thickness_is_shown_with_its_interval(tmp_path):
     folder = lay_out(tmp_path / "data")
     settings = Settings()
     facts = describe_status(folder, settings)
@@ -290,7 +285,7 @@ def test_the_wall_thickness_is_shown_with_its_interval(tmp_path: Path) -> None:
     assert f" {1e3 * wall_m:.2f} mm ({1e3 * low_m:.2f} to {1e3 * high_m:.2f})  5.71 mm  -  good" in row
 
 
-def test_a_position_with_a_partial_set_is_not_listed_as_missed(filled: FilledFolder) -> None:
+def test_a_position_with_a_partial_set_is_not_listed_as_missed(filled):
     store_missed_set(filled, SETS, "a stop", "B", state="partial")
     store_missed_set(filled, SETS, "a stop", "C", "D")
     at = f"hour {filled.due[SETS].due_h:g}: a stop"
@@ -298,9 +293,7 @@ def test_a_position_with_a_partial_set_is_not_listed_as_missed(filled: FilledFol
     assert sorted(lines) == [f"gap  set {SETS} missed at C, D, {at}", f"gap  set {SETS} partial at B, {at}"]
 
 
-def test_colour_is_for_terminals_without_no_color(
-    filled: FilledFolder, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_colour_is_for_terminals_without_no_color(filled, monkeypatch):
     facts = describe_status(filled.folder, filled.settings)
     monkeypatch.setenv("TERM", "xterm-256color")
     for variable, coloured in (("FORCE_COLOR", True), ("NO_COLOR", False)):
@@ -311,19 +304,19 @@ def test_colour_is_for_terminals_without_no_color(
         assert ("\x1b[32m" in captured.get()) == coloured
 
 
-def test_watching_needs_a_terminal(filled: FilledFolder) -> None:
+def test_watching_needs_a_terminal(filled):
     for options in (["--watch"], ["--watch", "--json"]):
         done = solimon_here("status", *options, "--data-dir", str(filled.folder), env={})
         assert (done.returncode, done.stdout) == (2, "")
         assert "--watch draws on a terminal" in done.stderr
 
 
-def test_an_empty_folder_has_no_data_yet(tmp_path: Path) -> None:
+def test_an_empty_folder_has_no_data_yet(tmp_path):
     lines = status_lines(describe_status(tmp_path, Settings()))
     assert lines == ["data      here", "recorder  never started here", "          no data yet"]
 
 
-def test_a_position_that_collects_its_baseline_has_no_limit_yet(tmp_path: Path) -> None:
+def test_a_position_that_collects_its_baseline_has_no_limit_yet(tmp_path):
     filled = FilledFolder(tmp_path, Settings())
     filled.add_set(0, stored=False, assessed=False)
     row = line_of(status_of(filled), " D")

@@ -11,6 +11,7 @@ from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import NoDataYetError
+from daq_service.clock import MachineClock
 from daq_service.commands.send import send_command
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.data_folder import own_data_folder
@@ -40,7 +41,13 @@ class RecorderDouble:
             self.catalogue.finish_command(row.id, *self.answer)
 
     def send(self, kind: str, **options: Any) -> int:
-        options = {"note": "", "author": "ann", "as_json": False, "wait": self.look, **options}
+        options = {
+            "note": "",
+            "author": "ann",
+            "as_json": False,
+            "machine": MachineClock(sleep=self.look),
+            **options,
+        }
         return send_command(kind, config=None, data_dir=self.folder, **options)
 
 
@@ -84,12 +91,12 @@ def test_arguments_that_are_not_given_are_left_out(recorder: RecorderDouble) -> 
 def test_a_rejected_command_is_an_error_with_the_recorders_reason(
     recorder: RecorderDouble, capsys: pytest.CaptureFixture[str], as_json: bool
 ) -> None:
-    recorder.answer = ("refused", "B is not disabled")
-    with pytest.raises(UsageError, match="refused to enable: B is not disabled") as refusal:
+    recorder.answer = ("rejected", "B is not disabled")
+    with pytest.raises(UsageError, match="rejected enable: B is not disabled") as refusal:
         recorder.send("enable", position="B", as_json=as_json)
     assert refusal.value.exit_code == 2
     printed = capsys.readouterr().out
-    assert (json.loads(printed)["state"] if as_json else printed) == ("refused" if as_json else "")
+    assert (json.loads(printed)["state"] if as_json else printed) == ("rejected" if as_json else "")
 
 
 def test_invalid_arguments_are_not_stored(recorder: RecorderDouble) -> None:
@@ -118,7 +125,7 @@ def test_a_started_command_without_a_result_is_reported_as_unknown(recorder: Rec
             "pause",
             note="why",
             carried_out_within_s=0.0,
-            wait=lambda seconds: recorder.catalogue.start_command(1),
+            machine=MachineClock(sleep=lambda seconds: recorder.catalogue.start_command(1)),
         )
     assert silence.value.exit_code == 5
 

@@ -3,7 +3,8 @@
 import pytest
 from support.serial_rig import TestClock
 
-from daq_service.alarms.states import Condition, Moment, acknowledge, update
+from daq_service.alarms.operator_actions import acknowledge
+from daq_service.alarms.states import Condition, Moment, update
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.settings.rig import RigSettings
 from hardware_drivers.errors import ConnectionLostError

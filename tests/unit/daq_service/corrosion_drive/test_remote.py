@@ -1,24 +1,22 @@
 """The recorder's client of the supply process: discovery, start, requests, and the channel."""
 
 import socket
-from collections.abc import Iterator
 from contextlib import ExitStack, nullcontext
-from pathlib import Path
 from typing import Any
 
 import pytest
+from support.machine import clock_in_seconds
 from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
+from daq_service.clock import MachineClock
 from daq_service.corrosion_drive.channel import HOST, Server, signed_line, verified_message
 from daq_service.corrosion_drive.charge import Charge, Command, DriveState
-from daq_service.corrosion_drive.drive import Reply
 from daq_service.corrosion_drive.guard import DriveGuard
 from daq_service.corrosion_drive.own_process import DriveProcess, fingerprint
 from daq_service.corrosion_drive.remote import COMES_WITHIN_S, ENDS_WITHIN_S, RemoteDrive, answered_within_s
 from daq_service.corrosion_drive.supply_state import (
     Address,
-    StoredState,
     hold_supply_lock,
     read_stored_state,
     stored_state_now,
@@ -26,6 +24,7 @@ from daq_service.corrosion_drive.supply_state import (
 )
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
+from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 KEY = b"k" * 32
@@ -39,14 +38,14 @@ class Child:
 
     returncode: int | None = None
 
-    def poll(self) -> int | None:
+    def poll(self):
         return self.returncode
 
 
 class Bench:
     """Remote supply of a recorder and its process in one thread on a manual clock."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder, self.now_s = folder, 0.0
         self.child, self.started, self.killed = Child(), 0, 0
         self.supply = ScriptedSupply(TestClock())
@@ -58,16 +57,15 @@ class Bench:
             folder,
             self.start,  # type: ignore[arg-type]
             supply_port="COM4",
-            mono_s=lambda: self.now_s,
-            pause=self.pause,
+            machine=MachineClock(mono_ns=lambda: round(self.now_s * NS_PER_S), sleep=self.pause),
             kill=self.is_killed,
         )
 
-    def start(self) -> Child:
+    def start(self):
         self.started += 1
         return self.child
 
-    def comes_up(self, *, agreed: str = fingerprint(PARAMETERS)) -> None:
+    def comes_up(self, *, agreed: str = fingerprint(PARAMETERS)):
         """Start the process."""
         self.server = self.life.enter_context(Server(KEY))
         address = Address(port=self.server.port, key=KEY.hex(), fingerprint=agreed)
@@ -80,18 +78,18 @@ class Bench:
         )
         self.life.callback(self.process.close)
 
-    def is_killed(self, process: int = 0) -> None:
+    def is_killed(self, process=0):
         self.killed += 1
         self.life.close()
         self.server = self.process = None
 
-    def pause(self, seconds: float) -> None:
+    def pause(self, seconds):
         self.now_s += seconds
         if self.server is not None and self.process is not None:
             self.process.step()
             self.server.serve(seconds, self.process.answer)
 
-    def wait_for_row(self, **row: Any) -> None:
+    def wait_for_row(self, **row):
         """Tick until the row has these values."""
         for _ in range(PATIENCE):
             self.remote.tick()
@@ -101,7 +99,7 @@ class Bench:
                 return
         pytest.fail(f"never told: {row}, but {latest}")
 
-    def answer(self, reply: Reply, *, step_s: float = 0.01) -> str:
+    def answer(self, reply, *, step_s=0.01):
         """Tick until the reply is complete; return its error."""
         for _ in range(PATIENCE):
             if reply.done or reply.error:
@@ -110,12 +108,12 @@ class Bench:
             self.remote.tick()
         pytest.fail("never answered")
 
-    def active(self) -> dict[str, str]:
+    def active(self):
         return {found.name: found.message for found in self.remote.conditions() if found.active}
 
 
 @pytest.fixture
-def bench(tmp_path: Path) -> Iterator[Bench]:
+def bench(tmp_path):
     bench = Bench(tmp_path)
     with bench.remote:
         bench.remote.take_over(DriveState())
@@ -123,7 +121,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
     bench.is_killed()
 
 
-def test_commands_are_sent_and_their_results_returned(bench: Bench) -> None:
+def test_commands_are_sent_and_their_results_returned(bench):
     bench.comes_up()
     assert bench.answer(bench.remote.energise("Ada", voltage_v=5.0)) == ""
     assert bench.supply.on
@@ -136,7 +134,7 @@ def test_commands_are_sent_and_their_results_returned(bench: Bench) -> None:
     assert "interlock_tripped" in bench.active()
 
 
-def test_a_command_does_not_wait_for_its_answer(bench: Bench) -> None:
+def test_a_command_does_not_wait_for_its_answer(bench):
     bench.comes_up()
     bench.wait_for_row(supply_quality="good")
     bench.process = None  # it stalls
@@ -147,13 +145,13 @@ def test_a_command_does_not_wait_for_its_answer(bench: Bench) -> None:
     assert (reply.done, reply.error, bench.now_s) == (False, "", before_s)
 
 
-def test_a_refusal_is_an_error_with_its_reason(bench: Bench) -> None:
+def test_a_refusal_is_an_error_with_its_reason(bench):
     bench.comes_up()
     bench.supply.error = ConnectionLostError("the supply does not answer")
     assert "the supply does not answer" in bench.answer(bench.remote.energise("Ada"))
 
 
-def test_a_missing_process_is_started_with_growing_intervals(bench: Bench) -> None:
+def test_a_missing_process_is_started_with_growing_intervals(bench):
     bench.remote.tick()
     assert bench.started == 1
     bench.now_s += 10.0
@@ -166,7 +164,7 @@ def test_a_missing_process_is_started_with_growing_intervals(bench: Bench) -> No
     assert 4 <= bench.started <= 8
 
 
-def test_a_missing_first_response_raises_an_alarm_after_a_while(bench: Bench) -> None:
+def test_a_missing_first_response_raises_an_alarm_after_a_while(bench):
     bench.remote.tick()
     row = bench.remote.row(3, 1.5)
     assert (row.set_index, row.supply_state, row.supply_quality) == (3, "unknown", "stale")
@@ -175,13 +173,13 @@ def test_a_missing_first_response_raises_an_alarm_after_a_while(bench: Bench) ->
     assert "Its process has not answered" in bench.active()["supply_not_responding"]
 
 
-def test_a_missing_process_gives_an_unknown_state_with_its_age(bench: Bench) -> None:
+def test_a_missing_process_gives_an_unknown_state_with_its_age(bench):
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.wait_for_row(supply_state="on")
     unknown_s = bench.remote.row(0, 0.0).unknown_s or 0.0
     bench.is_killed()
-    bench.wait_for_row(supply_state="unknown", supply_quality="lost")
+    bench.wait_for_row(supply_state="unknown", supply_quality="no_communication")
     assert list(bench.active()) == ["supply_not_responding"]
     bench.now_s += 100.0
     row = bench.remote.row(0, 0.0)
@@ -194,7 +192,7 @@ def test_a_missing_process_gives_an_unknown_state_with_its_age(bench: Bench) -> 
     assert bench.active() == {}
 
 
-def test_a_trip_that_reached_no_process_is_sent_first_to_the_next_one(bench: Bench) -> None:
+def test_a_trip_that_reached_no_process_is_sent_first_to_the_next_one(bench):
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.is_killed()
@@ -210,7 +208,7 @@ def test_a_trip_that_reached_no_process_is_sent_first_to_the_next_one(bench: Ben
 
 
 @pytest.mark.parametrize("command", ["energise", "switch_off"])
-def test_a_process_that_stalls_is_killed_and_the_output_switched_off(bench: Bench, command: str) -> None:
+def test_a_process_that_stalls_is_killed_and_the_output_switched_off(bench, command):
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.process = None  # it stalls
@@ -227,7 +225,7 @@ def test_a_process_that_stalls_is_killed_and_the_output_switched_off(bench: Benc
     assert bench.active() == {}
 
 
-def test_a_stalled_process_is_replaced_also_without_a_command(bench: Bench) -> None:
+def test_a_stalled_process_is_replaced_also_without_a_command(bench):
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.process = None
@@ -240,7 +238,7 @@ def test_a_stalled_process_is_replaced_also_without_a_command(bench: Bench) -> N
     assert bench.supply.on, "the command is still in force"
 
 
-def test_a_process_that_hands_over_is_shown_until_it_has_released_the_supply(bench: Bench) -> None:
+def test_a_process_that_hands_over_is_shown_until_it_has_released_the_supply(bench):
     bench.comes_up(agreed="another")
     bench.supply.error = ConnectionLostError("gone")
     bench.remote.tick()
@@ -256,7 +254,7 @@ def test_a_process_that_hands_over_is_shown_until_it_has_released_the_supply(ben
     assert not bench.process.leaves, "the old one waits for it"
 
 
-def test_a_process_with_an_old_command_is_notified_of_its_end(bench: Bench) -> None:
+def test_a_process_with_an_old_command_is_notified_of_its_end(bench):
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     old = (bench.folder / "drive.json").read_bytes()
@@ -270,9 +268,7 @@ def test_a_process_with_an_old_command_is_notified_of_its_end(bench: Bench) -> N
 
 
 @pytest.mark.parametrize("process", ["stalls", "is gone"])
-def test_at_the_end_a_process_that_does_not_answer_is_replaced_by_one_that_switches_off(
-    bench: Bench, process: str
-) -> None:
+def test_at_the_end_a_process_that_does_not_answer_is_replaced_by_one_that_switches_off(bench, process):
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     if process == "is gone":
@@ -290,7 +286,7 @@ def test_at_the_end_a_process_that_does_not_answer_is_replaced_by_one_that_switc
     assert not bench.supply.on
 
 
-def test_a_command_without_an_answer_at_the_recorder_s_end_is_followed_by_a_switch_off(bench: Bench) -> None:
+def test_a_command_without_an_answer_at_the_recorder_s_end_is_followed_by_a_switch_off(bench):
     bench.comes_up()
     bench.wait_for_row(supply_quality="good")
     asleep, bench.process = bench.process, None
@@ -309,19 +305,21 @@ def test_a_command_without_an_answer_at_the_recorder_s_end_is_followed_by_a_swit
 class Guarded(Bench):
     """Bench whose remote supply does not watch."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         super().__init__(folder)
         self.remote = RemoteDrive(
             PARAMETERS,
             folder,
             self.start,  # type: ignore[arg-type]
             watches=False,
-            mono_s=lambda: self.now_s,
+            machine=clock_in_seconds(lambda: self.now_s),
             kill=self.is_killed,
         )
-        self.guard = DriveGuard(folder, self.remote, check_every_s=600.0, mono_s=lambda: self.now_s)
+        self.guard = DriveGuard(
+            folder, self.remote, check_every_s=600.0, machine=clock_in_seconds(lambda: self.now_s)
+        )
 
-    def look(self, seconds: float) -> None:
+    def look(self, seconds):
         for _ in range(round(seconds)):
             self.guard.check()
             self.pause(0.0)
@@ -329,7 +327,7 @@ class Guarded(Bench):
 
 
 @pytest.fixture
-def guarded(tmp_path: Path) -> Iterator[Guarded]:
+def guarded(tmp_path):
     guarded = Guarded(tmp_path)
     with guarded.remote:
         yield guarded
@@ -347,9 +345,7 @@ def guarded(tmp_path: Path) -> Iterator[Guarded]:
     ],
     ids=["never", "unreadable", "on", "pending", "off"],
 )
-def test_the_guard_starts_a_process_where_the_output_may_be_on(
-    guarded: Guarded, content: StoredState | bytes | None, starts: int
-) -> None:
+def test_the_guard_starts_a_process_where_the_output_may_be_on(guarded, content, starts):
     if isinstance(content, bytes):
         (guarded.folder / DRIVE_FILE).write_bytes(content)
     elif content is not None:
@@ -358,7 +354,7 @@ def test_the_guard_starts_a_process_where_the_output_may_be_on(
     assert guarded.started == starts
 
 
-def test_the_guard_looks_again_at_an_output_that_was_off(guarded: Guarded) -> None:
+def test_the_guard_looks_again_at_an_output_that_was_off(guarded):
     write_stored_state(guarded.folder, stored_state_now(DriveState(), output="off"))
     guarded.look(590.0)
     assert guarded.started == 0
@@ -366,7 +362,7 @@ def test_the_guard_looks_again_at_an_output_that_was_off(guarded: Guarded) -> No
     assert guarded.started == 1
 
 
-def test_the_guard_replaces_a_process_that_stalls_and_is_no_recorder(guarded: Guarded) -> None:
+def test_the_guard_replaces_a_process_that_stalls_and_is_no_recorder(guarded):
     guarded.comes_up()
     assert guarded.process is not None
     guarded.process.answer({"id": 1, **ON})
@@ -381,7 +377,7 @@ def test_the_guard_replaces_a_process_that_stalls_and_is_no_recorder(guarded: Gu
     assert guarded.started == 1
 
 
-def test_the_means_of_a_set_start_after_the_readings_of_its_row(bench: Bench) -> None:
+def test_the_means_of_a_set_start_after_the_readings_of_its_row(bench):
     bench.comes_up()
     bench.answer(bench.remote.energise("Ada"))
     bench.wait_for_row(supply_state="on", voltage_max_v=10.0)
@@ -389,7 +385,7 @@ def test_the_means_of_a_set_start_after_the_readings_of_its_row(bench: Bench) ->
     bench.wait_for_row(current_a=None)
 
 
-def test_the_first_process_starts_from_the_catalogue_a_later_one_from_the_file(bench: Bench) -> None:
+def test_the_first_process_starts_from_the_catalogue_a_later_one_from_the_file(bench):
     (bench.folder / "drive.json").unlink()
     bench.remote.take_over(DriveState(charge=Charge(coulomb=7.0)))
     bench.remote.take_over(DriveState(charge=Charge(coulomb=1.0)))
@@ -401,7 +397,7 @@ def test_the_first_process_starts_from_the_catalogue_a_later_one_from_the_file(b
 # The channel ---------------------------------------------------------------------------------------
 
 
-def test_a_message_is_decoded_only_with_its_key() -> None:
+def test_a_message_is_decoded_only_with_its_key():
     line = signed_line(KEY, {"id": 1, "do": "look"})
     assert verified_message(KEY, line) == {"id": 1, "do": "look"}
     assert verified_message(b"other", line) is None
@@ -411,10 +407,10 @@ def test_a_message_is_decoded_only_with_its_key() -> None:
 @pytest.mark.parametrize(
     "data", [signed_line(b"other", {"id": 1}), b"x" * 200_000, b"\n"], ids=["key", "flood", "empty"]
 )
-def test_an_unauthenticated_client_is_disconnected_without_delaying_others(data: bytes) -> None:
+def test_an_unauthenticated_client_is_disconnected_without_delaying_others(data):
     answered: list[Any] = []
 
-    def answer(message: Any) -> Any:
+    def answer(message):
         answered.append(message)
         return {"id": message["id"]}
 

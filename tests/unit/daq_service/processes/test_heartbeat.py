@@ -1,6 +1,6 @@
 import pytest
 
-from daq_service.clock import TimeLine, boot_name
+from daq_service.clock import MachineClock, TimeLine, boot_name
 from daq_service.processes.heartbeat import (
     FILE_NAME,
     Beat,
@@ -34,10 +34,12 @@ def test_without_a_recorder_there_is_no_heartbeat(tmp_path):
 
 
 def test_a_beat_hands_the_time_of_the_test_to_the_next_recorder_on_its_boot(tmp_path):
-    Heartbeat(tmp_path, deadline_s=65.0, boot=lambda: "ours", time_line=lambda: LINE).beat("waiting")
+    Heartbeat(
+        tmp_path, deadline_s=65.0, machine=MachineClock(boot_name=lambda: "ours"), time_line=lambda: LINE
+    ).beat("waiting")
     beat = read_heartbeat(tmp_path)
     assert time_line_of(beat, boot="ours", elapsed_ns=700) == LINE
-    assert time_now_ns(beat, boot=lambda: "ours", elapsed=lambda: 900) == 5_200
+    assert time_now_ns(beat, machine=MachineClock(boot_name=lambda: "ours", elapsed_ns=lambda: 900)) == 5_200
 
 
 @pytest.mark.parametrize(
@@ -50,16 +52,20 @@ def test_a_beat_hands_the_time_of_the_test_to_the_next_recorder_on_its_boot(tmp_
     ],
 )
 def test_no_time_of_another_boot_is_used(tmp_path, written_in, line, boot, elapsed_ns):
-    Heartbeat(tmp_path, deadline_s=65.0, boot=lambda: written_in, time_line=lambda: line).beat("waiting")
+    Heartbeat(
+        tmp_path, deadline_s=65.0, machine=MachineClock(boot_name=lambda: written_in), time_line=lambda: line
+    ).beat("waiting")
     beat = read_heartbeat(tmp_path)
     assert beat is not None
     assert time_line_of(beat, boot=boot, elapsed_ns=elapsed_ns) is None
-    assert time_now_ns(beat, boot=lambda: boot, elapsed=lambda: elapsed_ns) is None
+    assert (
+        time_now_ns(beat, machine=MachineClock(boot_name=lambda: boot, elapsed_ns=lambda: elapsed_ns)) is None
+    )
 
 
 def test_a_beat_has_the_activity_and_its_deadline(tmp_path):
     clock = FakeMonotonic()
-    Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock).beat("taking set 3")
+    Heartbeat(tmp_path, deadline_s=65.0, machine=MachineClock(mono_ns=clock)).beat("taking set 3")
     beat = read_heartbeat(tmp_path)
     assert beat is not None
     assert (beat.doing, beat.deadline_s, beat.mono_ns) == ("taking set 3", 65.0, clock.now_ns)
@@ -70,7 +76,7 @@ def test_a_beat_has_the_activity_and_its_deadline(tmp_path):
 def test_the_start_of_a_long_wait_is_written_even_if_a_beat_is_slow(tmp_path):
     clock = FakeMonotonic()
     clock.cost_ns = NS_PER_S // 100
-    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
+    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, machine=MachineClock(mono_ns=clock))
     heartbeat.beat("taking set 3")
     clock.cost_ns = 0
     heartbeat.beat("told later: the last beat was dear")
@@ -82,7 +88,7 @@ def test_the_start_of_a_long_wait_is_written_even_if_a_beat_is_slow(tmp_path):
 
 def test_the_file_is_written_at_most_twice_a_second(tmp_path):
     clock = FakeMonotonic()
-    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
+    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, machine=MachineClock(mono_ns=clock))
     seen = []
     for _ in range(100):
         heartbeat.beat("waiting")
@@ -97,7 +103,7 @@ def test_the_file_is_written_at_most_twice_a_second(tmp_path):
 def test_a_new_activity_is_written_immediately_unless_beats_are_slow(tmp_path):
     def count_writes(cost_ns):
         clock = FakeMonotonic()
-        heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
+        heartbeat = Heartbeat(tmp_path, deadline_s=65.0, machine=MachineClock(mono_ns=clock))
         seen = set()
         for number in range(100):  # a stage every 5 ms
             before = read_heartbeat(tmp_path)
@@ -119,7 +125,7 @@ def test_a_new_activity_is_written_immediately_unless_beats_are_slow(tmp_path):
 def test_an_activity_after_a_wait_is_written_even_if_the_last_beat_is_recent(tmp_path):
     """A call that hangs immediately must be identified by its name."""
     clock = FakeMonotonic()
-    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
+    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, machine=MachineClock(mono_ns=clock))
     clock.cost_ns = 4_000_000  # for each read of the clock: a slow disk
     for _ in range(3):
         heartbeat.beat("waiting for set 1")
@@ -148,7 +154,10 @@ def test_an_inaccessible_heartbeat_file_is_logged_once_and_stops_nothing(tmp_pat
     (tmp_path / FILE_NAME).mkdir()
     clock, beats = FakeMonotonic(), []
     heartbeat = Heartbeat(
-        tmp_path, deadline_s=65.0, mono_ns=clock, notify=lambda event, **values: beats.append(beat_of(values))
+        tmp_path,
+        deadline_s=65.0,
+        machine=MachineClock(mono_ns=clock),
+        notify=lambda event, **values: beats.append(beat_of(values)),
     )
     for number in range(3):
         heartbeat.beat(f"set {number}")
@@ -172,7 +181,7 @@ def test_a_heartbeat_of_an_older_version_has_no_boot(tmp_path):
 def test_a_beat_is_written_over_the_one_before_in_place(tmp_path):
     """No rename collides with a reader (Windows), and a full disk already has the space."""
     clock = FakeMonotonic()
-    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, mono_ns=clock)
+    heartbeat = Heartbeat(tmp_path, deadline_s=65.0, machine=MachineClock(mono_ns=clock))
     heartbeat.beat("\N{SNOWMAN}" * 10_000)
     path = tmp_path / FILE_NAME
     before = path.stat()

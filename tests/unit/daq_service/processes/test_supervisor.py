@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import pytest
+from support.machine import clock_in_seconds
 
 from daq_service.clock import boot_name
 from daq_service.processes.child import ANNOUNCEMENT
@@ -64,7 +65,7 @@ class World:
             program=["solimon"],
             start=self._start,
             read_beat=lambda folder: self.beat(),
-            mono_ns=lambda: round(self.now_s * NS_PER_S),
+            machine=clock_in_seconds(lambda: self.now_s),
         )
         return supervisor.run(cast(threading.Event, self), stay=stay)
 

@@ -12,8 +12,8 @@ from support.synthetic_records import Scene, waveform_of
 from support.table_rows import forget_states
 
 from analysis.statistics.named_limits import LIMITS
+from daq_service.acquisition.schedule import due_of as due_of_record
 from daq_service.acquisition.schedule import plan
-from daq_service.acquisition.taken_set import due_of as due_of_record
 from daq_service.archive.errors import ArchiveReadError
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
@@ -275,7 +275,7 @@ def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
 def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
     line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
     with recorded(line, 2) as (ledger, again, records):
-        ledger.assessors.reinstate("D")
+        ledger.assessors.enable("D")
         ledger.commit(Transaction())
         assert restored_states(again)["D"] == bits(ledger.assessors["D"].state)
         assess_set(ledger, again, *records[2])

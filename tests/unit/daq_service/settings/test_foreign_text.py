@@ -75,7 +75,8 @@ def test_no_spreadsheet_executes_a_text(text):
     page = {"text": [text, "a=1", None], "number": [-1.5, 2.0, None], "whole": [-3, 4, None]}
     exported = b"".join(FORMATS["csv"].write(SimpleNamespace(columns=columns), {}, [page])).decode()
     swept = csv_text(SimpleNamespace(columns={"text": [text], "number": np.array([-1.5])}))
-    reproduced = csv_bytes(SimpleNamespace(columns={"text": [text], "number": [-1.5]})).decode()
+    table = SimpleNamespace(columns=("text", "number"), rows=lambda: [(text, -1.5)])
+    reproduced = csv_bytes(table).decode()
     assert list(csv.reader(io.StringIO(exported, newline="")))[1:] == [
         [f"'{text}", "-1.5", "-3"],
         ["a=1", "2.0", "4"],

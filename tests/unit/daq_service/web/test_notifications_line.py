@@ -217,7 +217,7 @@ def test_a_message_unlogged_after_a_crash_is_repeated_with_the_same_key(make_ben
     bench = make_bench(group_s=10.0)
     bench.alarms.change("no_reflection")
     bench.alarms.change("few_valid_shots")
-    monkeypatch.setattr(bench.line, "_finish_sent", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(bench.line, "_close", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         bench.run(10.0)
     bench.restarted()

@@ -4,7 +4,8 @@ from dataclasses import replace
 
 import pytest
 
-from daq_service.catalogue.rows import AlarmRow, EventRow, payload_of
+from daq_service.catalogue.rows import AlarmRow, EventRow
+from daq_service.catalogue.writer import payload_of
 from daq_service.processes.notifications.messages import alarm_change_of
 
 ROW = AlarmRow(

@@ -12,7 +12,8 @@ from support.small_experiment import AtOnce
 from test_web_metrics import samples, value
 
 from daq_service import web
-from daq_service.alarms.states import Moment, take_out_of_service
+from daq_service.alarms.operator_actions import take_out_of_service
+from daq_service.alarms.states import Moment
 from daq_service.assessment.position_status import PositionStatus
 from daq_service.cli.status.facts import describe_status
 from daq_service.settings.tree import Settings

@@ -12,6 +12,7 @@ from pathlib import Path
 import httpx
 import pytest
 from support.filled_folder import filled_folder
+from support.machine import clock_in_seconds
 from support.served_web import DEADLINE_S, served
 from support.waiting import until
 from websockets.exceptions import InvalidStatus
@@ -373,7 +374,7 @@ def test_public_addresses_without_authentication_are_rejected_at_the_start(tmp_p
 
 def test_a_flood_of_refusals_leaves_a_bounded_number_of_lines_and_their_count(tmp_path):
     now_s = [0.0]
-    audit = Audit(tmp_path, mono_s=lambda: now_s[0])
+    audit = Audit(tmp_path, machine=clock_in_seconds(lambda: now_s[0]))
     stranger = {"who": "", "role": "", "source": "10.0.0.9", "what": "enter"}
     for _ in range(150):
         audit.add(**stranger, result="refused")

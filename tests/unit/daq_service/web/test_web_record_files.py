@@ -16,7 +16,7 @@ from support.filled_folder import filled_folder
 from support.served_web import served
 
 from daq_service import client
-from daq_service.web.routes import record_files
+from daq_service.web.routes import tables
 from daq_service.web.tables import records
 from daq_service.web.tables.formats import FORMATS
 
@@ -148,7 +148,7 @@ def test_an_impossible_export_is_rejected_with_its_reason(api, query, status, me
 def test_a_too_large_export_is_rejected_with_limit_and_remedy(api, filled, monkeypatch):
     record, *_ = [r for r in filled.records(1) if r.key.position == "B" and r.key.shot_index == 0]
     one_set = 8 * SHOTS * record.waveform.counts.size
-    monkeypatch.setattr(record_files, "MOST_BYTES", one_set)
+    monkeypatch.setattr(tables, "MOST_RECORD_BYTES", one_set)
     assert exported(api, "B", "npz", first_set=1, last_set=1)
     answer = api.get("/api/v1/waveforms/B?first_set=1&last_set=2&format=npz")
     assert answer.status_code == 422

@@ -23,8 +23,9 @@ from daq_service.web.auth.tokens import create_token
 from daq_service.web.report import contents
 from daq_service.web.report.contents import read_contents
 from daq_service.web.report.figures import GREEN, figure_of
-from daq_service.web.report.page import _alarm_rule_rows, quantity, significant
+from daq_service.web.report.page import _alarm_rule_rows
 from daq_service.web.routes import report as route
+from daq_service.web.templates import quantity, significant
 
 N_SETS = 56
 NOTE = "seen <b>&amp;"
@@ -76,6 +77,11 @@ def missed(folder, index):
     )
 
 
+def as_shown(text):
+    """Return a text with the spaces that a browser shows."""
+    return " ".join(text.split())
+
+
 class Page(HTMLParser):
     """Table rows below each heading, all words, and the resources that the page would load."""
 
@@ -103,11 +109,11 @@ class Page(HTMLParser):
 
     def handle_endtag(self, tag):
         if tag == "tr":
-            self.tables.setdefault(self._heading, []).append(self._row)
+            self.tables.setdefault(self._heading, []).append([as_shown(cell) for cell in self._row])
             self._row = None
 
     def handle_data(self, data):
-        self.words.append(data)
+        self.words.append(as_shown(data))
         if self._row:
             self._row[-1] += data
         elif self._tag in ("h2", "h3") and data.strip():

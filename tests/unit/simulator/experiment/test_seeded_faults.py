@@ -131,15 +131,6 @@ def test_a_smooth_wall_s_echo_is_that_from_before_faults_and_rough_walls(specime
     assert zlib.crc32(echo.waveform.counts.astype("<i2").tobytes()) == 3506962529
 
 
-@pytest.mark.parametrize(("twin", "hour_h"), [(NOISY, 0.5), (TwinParameters(), 300.0)])
-def test_faults_that_never_act_change_no_bit_and_leave_no_truth(specimen, twin, hour_h):
-    plain = specimen(twin).solitary_wave(key(1, 4), hour_h)
-    inert = specimen(replace(twin, faults={"B": FaultParameters()})).solitary_wave(key(1, 4), hour_h)
-    np.testing.assert_array_equal(inert.waveform.counts, plain.waveform.counts)
-    assert list(inert.truth) == list(plain.truth)
-    np.testing.assert_array_equal(list(inert.truth.values()), list(plain.truth.values()))
-
-
 @pytest.mark.parametrize("name", ACTIVE)
 def test_before_its_onset_a_fault_changes_no_bit_and_then_it_does(specimen, name):
     fault = ACTIVE[name][0]
@@ -182,26 +173,13 @@ def test_a_fault_changes_the_record_and_leaves_its_own_truth_with_every_one(spec
     assert changed > 0
 
 
-@pytest.mark.parametrize("name", ACTIVE)
-def test_a_faulty_shot_depends_on_nothing_but_seed_key_and_hour(specimen, name):
-    twin = TwinParameters(seed=7)
-    fault = {name: ACTIVE[name][0]}
-
-    def counts(order):
-        made = specimen(twin, **fault)
-        found = {k: made.solitary_wave(key(k, 2), YEAR_H) for k in order}
-        return [None if found[k] is None else found[k].waveform.counts.tobytes() for k in range(6)]
-
-    assert counts(range(6)) == counts(reversed(range(6)))
-
-
-def test_strikes_computed_together_are_those_computed_alone(specimen):
+def test_strikes_computed_together_are_those_computed_alone_in_any_order(specimen):
     """With every fault at work some strikes miss, some bounce, some have a loose contact."""
     made = specimen(NOISY, **{name: fault for name, (fault, _) in ACTIVE.items()})
     strikes = [
         (key(k % 10, k // 10, position), 1.0 + 50.0 * (k // 10)) for position in ("B", "D") for k in range(20)
     ]
-    alone = [made.solitary_wave(shot, hour_h) for shot, hour_h in strikes]
+    alone = [made.solitary_wave(shot, hour_h) for shot, hour_h in reversed(strikes)][::-1]
     together = made.solitary_waves(strikes)
     assert [record is None for record in together] == [record is None for record in alone]
     found = [(one, other) for one, other in zip(together, alone, strict=True) if one and other]

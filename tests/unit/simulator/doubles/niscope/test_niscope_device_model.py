@@ -16,8 +16,6 @@ from simulator.doubles.niscope.device_model import NiscopeBrain
 from simulator.doubles.vendor_api.niscope_entry_points import WAVEFORM_INFO
 from simulator.doubles.vendor_api.niscope_statuses import (
     ACQUISITION_IN_PROGRESS,
-    ADC_OVERLOAD_WARNING,
-    ALREADY_IN_USE,
     ATTRIBUTE_NOT_SUPPORTED,
     HARDWARE_FAILURE,
     INITIATE_NOT_CALLED,
@@ -27,10 +25,8 @@ from simulator.doubles.vendor_api.niscope_statuses import (
     MAX_TIME_EXCEEDED,
     MESSAGES,
     UNKNOWN_CHANNEL,
-    UNKNOWN_RESOURCE,
 )
 from simulator.doubles.vendor_api.statuses import Status
-from simulator.electronics.transduction import counts_of
 from simulator.parameters.electronics import NoiseParameters
 from simulator.parameters.experiment import EchoParameters, TwinParameters
 from simulator.specimen import build_specimen
@@ -122,29 +118,6 @@ def refused(code):
     return pytest.raises(Status, check=lambda status: status.code == code)
 
 
-def test_codes_are_the_twin_s_echo_through_the_board_s_scaling():
-    brain, specimen = make_brain()
-    scope = Scope(brain).open().configure()
-    scope("InitiateAcquisition")
-    records, described = scope.fetch()
-    board = ScopeParameters().calibration(1.0, 0.0)
-    expected = counts_of(specimen.probed_wall("A", HOUR_H).volts(specimen.twin.echo), board)
-    np.testing.assert_array_equal(records, np.tile(expected * 4, (RECORDS, 1)))
-    for _, first_s, step_s, samples, offset_v, gain_v, *_ in described:
-        assert (first_s, step_s, samples) == (0.0, 1e-8, SAMPLES)
-        # The padding is a power of two, so dividing the gain by it loses nothing.
-        np.testing.assert_array_equal([offset_v, 4.0 * gain_v], board.coefficients_v)
-
-
-def test_an_ideal_board_gives_the_twin_s_own_counts():
-    ideal = ScopeParameters(over_range_fraction=0.0, gain_error_fraction=0.0, offset_v=0.0)
-    brain, specimen = make_brain(board=ideal)
-    scope = Scope(brain).open().configure()
-    scope("InitiateAcquisition")
-    records, _ = scope.fetch()
-    np.testing.assert_array_equal(records[0] // 4, specimen.echo(KEY, HOUR_H).waveform.counts)
-
-
 def test_single_records_carry_the_noise_of_one():
     scope = Scope(make_brain(noise=True)[0]).open().configure()
     quiet = Scope(make_brain()[0]).open().configure()
@@ -189,26 +162,6 @@ def test_a_trigger_delay_moves_the_echo():
     assert described[0][1] == late * 1e-8
     # The shifted time axis is rounded again: a code may flip where the voltage is half-way between two.
     assert np.abs(records[0, late:].astype(int) - shifted[0, :-late]).max() <= 4
-
-
-def test_a_pulse_beyond_the_range_is_a_warning_with_its_data():
-    scope = Scope(make_brain(echo=EchoParameters(back_wall_v=30.0))[0]).open().configure()
-    scope("InitiateAcquisition")
-    with refused(ADC_OVERLOAD_WARNING) as raised:
-        scope.fetch()
-    waveform = raised.value.values["waveform"]
-    assert (waveform.min(), waveform.max()) == (-32_768, 32_764)
-
-
-@pytest.mark.parametrize(("asked_v", "given_v"), [(1.0, 1.0), (0.3, 0.5), (0.05, 0.1)])
-def test_ranges_are_coerced_upwards(scope, asked_v, given_v):
-    scope.configure(range_v=asked_v)
-    assert scope.attribute(1250001) == 2.0 * given_v
-
-
-@pytest.mark.parametrize(("asked_hz", "given_hz"), [(100e6, 100e6), (60e6, 100e6), (50e6, 50e6), (1e6, 1e6)])
-def test_rates_are_coerced_upwards(asked_hz, given_hz):
-    assert ScopeParameters().next_rate_hz(asked_hz) == given_hz
 
 
 def timing(**changes):
@@ -265,29 +218,11 @@ def test_settings_do_not_change_while_an_acquisition_runs(scope):
     scope("Commit")
 
 
-def test_a_board_belongs_to_one_session(scope):
-    brain = scope.brain
-    for client in ("1", "2"):
-        with refused(ALREADY_IN_USE):
-            Scope(brain).open(client=client)
-    scope("close")
-    brain.occupy("PXI1Slot4", "soft front panel")
-    with pytest.raises(Status, match="soft front panel"):
-        Scope(brain).open()
-    brain.vacate("soft front panel")
-    Scope(brain).open()
-
-
 def test_a_client_that_dies_is_reported_and_leaves_nothing_reserved(scope):
     assert scope.brain.open_sessions() == [("1", "PXI1Slot4")]
     assert scope.brain.client_gone("1") == ["PXI1Slot4"]
     assert scope.brain.open_sessions() == []
     Scope(scope.brain).open(client="2")
-
-
-def test_an_unknown_resource_is_refused(scope):
-    with refused(UNKNOWN_RESOURCE):
-        scope.open("PXI1Slot9")
 
 
 class Clock:
@@ -327,15 +262,6 @@ def test_only_a_trigger_that_the_sync_crosses_is_one(clock, configured, triggers
         scope.fetch(timeout_s=0.0)
 
 
-def test_a_digital_sync_needs_no_level(clock):
-    probe = replace(PROBE, sync_terminal="VAL_PFI_1")
-    scope = Scope(make_brain(probe=probe, monotonic_s=clock)[0]).open().configure()
-    scope("ConfigureTriggerDigital", trigger_source="VAL_PFI_1", slope=1, holdoff=0.0, delay=0.0)
-    scope("InitiateAcquisition")
-    clock.now_s = 3600.0
-    assert scope.fetch(timeout_s=0.0)[0].any()
-
-
 @pytest.mark.parametrize("delay_s", [0.0, 5e-6])
 def test_an_acquisition_is_done_with_its_last_sample(clock, delay_s):
     scope = Scope(make_brain(monotonic_s=clock)[0]).open().configure(delay_s=delay_s)
@@ -347,15 +273,6 @@ def test_an_acquisition_is_done_with_its_last_sample(clock, delay_s):
         scope.fetch(timeout_s=0.0)
     clock.now_s = done_s + 1e-7
     assert len(scope.fetch(timeout_s=0.0)[1]) == RECORDS
-
-
-def test_a_pulser_that_is_off_never_triggers(clock):
-    probe = replace(PROBE, switched_on=False)
-    scope = Scope(make_brain(probe=probe, monotonic_s=clock)[0]).open().configure()
-    scope("InitiateAcquisition")
-    clock.now_s = 3600.0
-    with refused(MAX_TIME_EXCEEDED):
-        scope.fetch(timeout_s=0.0)
 
 
 @pytest.mark.parametrize(
@@ -384,14 +301,6 @@ def test_a_waiting_fetch_ends_when_its_acquisition_does(scope, end, code):
     end(scope)
     ended(waiting, "the fetch came back")
     assert seen == [code]
-
-
-def test_a_board_that_comes_back_under_another_name_is_found_there(scope):
-    scope.brain.unplug(SERIAL)
-    with refused(HARDWARE_FAILURE):
-        scope("Commit")
-    scope.brain.plug(SERIAL, "Dev3")
-    assert Scope(scope.brain).open("Dev3").attribute(1150104, "ViString") == "01C5A1F0"
 
 
 def test_a_reset_restores_the_defaults_and_keeps_the_session(scope):

@@ -1,16 +1,11 @@
 """The gRPC front, met by the unmodified `nidaqmx` package on a real channel; the brain is a script here."""
 
-import subprocess
-import sys
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import numpy as np
 import pytest
 
-from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, Description
-from simulator.doubles.device_model import Brain
 from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, HANDLE, Role, Tail
 from simulator.doubles.vendor_api.statuses import Status
 
@@ -19,10 +14,9 @@ nidaqmx = pytest.importorskip("nidaqmx")
 
 from nidaqmx import GrpcSessionOptions, SessionInitializationBehavior  # noqa: E402
 from nidaqmx._stubs import nidaqmx_pb2, nidaqmx_pb2_grpc  # noqa: E402
-from nidaqmx.constants import AcquisitionType, Edge, Slope, TaskMode  # noqa: E402
+from nidaqmx.constants import Slope  # noqa: E402
 from nidaqmx.errors import DaqError, DaqReadError, RpcError  # noqa: E402
 from nidaqmx.stream_readers import AnalogUnscaledReader  # noqa: E402
-from nidaqmx.system import System  # noqa: E402
 
 from simulator.doubles.errors import DoublesError  # noqa: E402
 from simulator.doubles.transports import grpc_front  # noqa: E402
@@ -92,30 +86,6 @@ def task(options):
         yield task
 
 
-def test_calls_reach_the_brain_with_the_table_s_names(script, task):
-    task.ai_channels.add_ai_voltage_chan("PXI1Slot2/ai3", min_val=-2.0, max_val=2.0)
-    task.timing.cfg_samp_clk_timing(10e6, sample_mode=AcquisitionType.FINITE, samps_per_chan=13_600)
-    task.triggers.reference_trigger.cfg_anlg_edge_ref_trig(
-        "PXI1Slot2/ai3", 1_000, trigger_slope=Slope.FALLING, trigger_level=-0.25
-    )
-    task.control(TaskMode.TASK_COMMIT)
-    task.start()
-    task.wait_until_done(2.5)
-    (channel,) = script.asked("DAQmxCreateAIVoltageChan")
-    assert (channel["task"], channel["physical_channel"], channel["min_val"]) == (101, "PXI1Slot2/ai3", -2.0)
-    (timing,) = script.asked("DAQmxCfgSampClkTiming")
-    assert (timing["rate"], timing["samps_per_chan"]) == (10e6, 13_600)
-    assert (timing["sample_mode"], timing["active_edge"]) == (
-        AcquisitionType.FINITE.value,
-        Edge.RISING.value,
-    )
-    (trigger,) = script.asked("DAQmxCfgAnlgEdgeRefTrig")
-    assert trigger["trigger_slope"] == Slope.FALLING.value
-    assert (trigger["pretrigger_samples"], trigger["trigger_level"]) == (1_000, -0.25)
-    assert script.asked("DAQmxTaskControl")[0]["action"] == TaskMode.TASK_COMMIT.value
-    assert script.asked("DAQmxWaitUntilTaskDone")[0] == {"task": 101, "time_to_wait": 2.5}
-
-
 def test_attributes_come_and_go_by_their_numbers(script, task):
     script.answers["DAQmxGetTimingAttribute"] = {"value": 9_999_999.5}
     assert task.timing.samp_clk_rate == 9_999_999.5
@@ -123,39 +93,6 @@ def test_attributes_come_and_go_by_their_numbers(script, task):
     assert script.asked("DAQmxSetTimingAttribute") == [{"task": 101, "attribute": 0x1344, "value": 5e6}]
     script.answers["DAQmxGetTrigAttribute"] = {"value": Slope.RISING.value}
     assert task.triggers.reference_trigger.anlg_edge_slope is Slope.RISING
-
-
-def test_devices_of_the_remote_system(script, options):
-    script.answers["DAQmxGetSystemInfoAttribute"] = {"value": "PXI1Slot2, Dev1"}
-    script.answers["DAQmxGetDeviceAttribute"] = {"value": 0x01E18096}
-    system = System.remote(options)
-    assert [device.name for device in system.devices] == ["PXI1Slot2", "Dev1"]
-    assert [device.serial_num for device in system.devices] == [0x01E18096] * 2
-    assert tuple(system.driver_version)[:2] == (24, 8)
-
-
-def test_arrays_of_numbers(script, options):
-    script.answers["DAQmxGetDeviceAttribute"] = {"value": np.array([-5.0, 5.0])}
-    device = nidaqmx.system.Device("Dev1", grpc_options=options)
-    assert device.ai_voltage_rngs == [-5.0, 5.0]
-
-
-def test_counts_are_read_whole(script, task):
-    task.ai_channels.add_ai_voltage_chan("PXI1Slot2/ai0")
-    counts = np.arange(-500, 500, dtype=np.int16)
-    script.answers["DAQmxReadBinaryI16"] = {"read_array": counts, "samps_per_chan_read": 1000}
-    buffer = np.zeros((1, 1000), dtype=np.int16)
-    assert AnalogUnscaledReader(task.in_stream).read_int16(buffer, 1000, timeout=1.5) == 1000
-    np.testing.assert_array_equal(buffer[0], counts)
-    (asked,) = script.asked("DAQmxReadBinaryI16")
-    assert (asked["array_size_in_samps"], asked["num_samps_per_chan"], asked["timeout"]) == (1000, 1000, 1.5)
-
-
-def test_an_error_has_its_number_and_its_text(script, task):
-    script.answers["DAQmxStartTask"] = Status(-50103, "Device: PXI1Slot2", task="a task")
-    with pytest.raises(DaqError, match=r"reserved by another process(.|\n)*PXI1Slot2") as raised:
-        task.start()
-    assert raised.value.error_code == -50103
 
 
 def test_a_warning_is_no_error(script, task):
@@ -249,56 +186,6 @@ def test_a_task_s_name_is_free_again_even_if_clearing_it_failed(script, channel)
     with nidaqmx.Task("striker", grpc_options=auto) as task:
         task.start()
     assert script.asked("DAQmxStartTask") == [{"task": 102}]
-
-
-CLIENT_WITH_A_RECORD = """
-import sys, grpc, nidaqmx
-from nidaqmx import GrpcSessionOptions
-from nidaqmx.constants import AcquisitionType, TaskMode
-channel = grpc.insecure_channel(sys.argv[1])
-task = nidaqmx.Task("record", grpc_options=GrpcSessionOptions(channel, "record"))
-task.ai_channels.add_ai_voltage_chan("PXI1Slot3/ai0", min_val=-5.0, max_val=5.0)
-task.timing.cfg_samp_clk_timing(10e6, sample_mode=AcquisitionType.FINITE, samps_per_chan=1000)
-task.control(TaskMode.TASK_COMMIT)
-print("committed", flush=True)
-sys.stdin.read()
-"""
-
-
-def test_tasks_of_a_killed_client_stay_reserved_until_cleared():
-    brain = Brain(Description(boards=(SIMULTANEOUS_16_BIT,)))
-    front = GrpcFront(partial(brain.call, brain.open_client("grpc", "server")))
-    command = [sys.executable, "-c", CLIENT_WITH_A_RECORD, front.address]
-    try:
-        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as child:
-            assert child.stdout.readline() == "committed\n"
-            child.kill()
-        assert [task["task"] for task in brain.record()["tasks"]] == ["record"]
-        assert brain.record()["reservations"]
-        with grpc.insecure_channel(front.address) as channel:
-            with nidaqmx.Task(grpc_options=GrpcSessionOptions(channel, "")) as other:
-                other.ai_channels.add_ai_voltage_chan("PXI1Slot3/ai1")
-                other.timing.cfg_samp_clk_timing(1e6, sample_mode=AcquisitionType.FINITE, samps_per_chan=100)
-                with pytest.raises(DaqError) as raised:
-                    other.control(TaskMode.TASK_RESERVE)
-                assert raised.value.error_code == -200022
-            attach = SessionInitializationBehavior.ATTACH_TO_SERVER_SESSION
-            options = GrpcSessionOptions(channel, "record", initialization_behavior=attach)
-            nidaqmx.Task("record", grpc_options=options).close()
-        assert brain.record()["tasks"] == []
-        assert brain.record()["reservations"] == {}
-    finally:
-        front.close()
-
-
-def test_a_server_that_is_gone_is_unavailable(script):
-    front = GrpcFront(script)
-    with grpc.insecure_channel(front.address) as channel:
-        task = nidaqmx.Task(grpc_options=GrpcSessionOptions(channel, ""))
-        front.close()
-        with pytest.raises(RpcError) as raised:
-            task.start()
-    assert raised.value.rpc_code == grpc.StatusCode.UNAVAILABLE
 
 
 def test_an_address_in_use_is_refused(script):

@@ -24,14 +24,12 @@ nidaqmx = pytest.importorskip("nidaqmx")
 from nidaqmx.constants import (  # noqa: E402
     AcquisitionType,
     Level,
-    PowerUpStates,
     Slope,
     TaskMode,
 )
 from nidaqmx.errors import DaqError, DaqFunctionNotSupportedError, DaqReadError, DaqWarning  # noqa: E402
 from nidaqmx.stream_readers import AnalogUnscaledReader  # noqa: E402
 from nidaqmx.system import System  # noqa: E402
-from nidaqmx.types import DOPowerUpState  # noqa: E402
 
 SAMPLES, PRETRIGGER = 13_600, 1_000
 
@@ -51,46 +49,6 @@ def coil(board="PXI1Slot3", name="", **times):
     chosen = {"initial_delay": 2e-4, "high_time": 0.006, "low_time": 0.001} | times
     task.co_channels.add_co_pulse_chan_time(f"{board}/ctr0", **chosen)
     return task
-
-
-def test_the_system_and_its_boards_introduce_themselves(meeting):
-    system = System.local()
-    assert tuple(system.driver_version) == (24, 8, 0)
-    found = {device.serial_num: (device.name, device.product_type) for device in system.devices}
-    assert found == {
-        0x01E18096: ("PXI1Slot2", "PXIe-6396"),
-        0x01E16086: ("PXI1Slot3", "PXIe-6386"),
-        0x00F12015: ("PXI1Slot4", "PXI-6115"),
-        0x00C16021: ("Dev1", "PCI-6221"),
-    }
-    board = system.devices["PXI1Slot3"]
-    assert board.ai_max_single_chan_rate == 100e6 / 7
-    assert board.ai_voltage_rngs[-2:] == [-10.0, 10.0]
-    assert "/PXI1Slot3/PFI12" in board.terminals
-    assert board.co_physical_chans.channel_names[0] == "PXI1Slot3/ctr0"
-    assert str(board.self_cal_last_date_and_time) == "2026-01-12 09:30:00"
-    board.self_cal()
-    assert board.self_cal_last_date_and_time.year > 2000
-    assert board.cal_dev_temp == board.self_cal_last_temp == 38.5
-    assert board.anlg_trig_supported is True
-    board.reset_device()
-
-
-def test_power_up_states_travel_in_pairs(meeting):
-    system = System.local()
-    wanted = [
-        DOPowerUpState("PXI1Slot3/port2/line4", PowerUpStates.LOW),
-        DOPowerUpState("PXI1Slot3/port2/line5", PowerUpStates.HIGH),
-    ]
-    system.set_digital_power_up_states("PXI1Slot3", wanted)
-    found = {
-        state.physical_channel: state.power_up_state
-        for state in system.get_digital_power_up_states("PXI1Slot3")
-    }
-    assert len(found) == 16
-    assert found["PXI1Slot3/port2/line4"] is PowerUpStates.LOW
-    assert found["PXI1Slot3/port2/line5"] is PowerUpStates.HIGH
-    assert found["PXI1Slot3/port1/line0"] is PowerUpStates.TRISTATE
 
 
 def test_routes_are_made_and_undone(meeting):

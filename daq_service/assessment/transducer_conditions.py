@@ -1,11 +1,12 @@
-"""Conditions of the alarms `wall_change` and `transducer_change`: messages and evidence.
+"""Conditions of a transducer's alarms: messages and evidence.
 
-The control chart or the diagnosis WALL raises them; or k of n sets above a limit, as configured. Where a
-baseline has no chart, k of n always decides.
+The control chart or the diagnosis WALL raises `wall_change` and `transducer_change`; or k of n sets above a
+limit, as configured. Where a baseline has no chart, k of n always decides.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,12 +15,14 @@ import numpy as np
 from analysis.assessment.step import Rules, State, wall_alarm_active
 from analysis.diagnosis.hypotheses import WALL
 from analysis.statistics.design import Design, contributions_of
-from analysis.statistics.named_limits import CHART
+from analysis.statistics.named_limits import CHART, DISTANCE, LIMITS
+from analysis.statistics.rules import HoleRule
 from analysis.waves.features import EXTRACTOR_VERSION
+from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition
 from daq_service.assessment.diagnosis_texts import diagnosis_text
-from daq_service.assessment.stored_limits import limits_by_name, statistic_of
 from daq_service.catalogue.rows import AssessmentRow
+from daq_service.settings.tree import QualitySettings
 
 FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"
 CHART_FORMULA = (
@@ -42,10 +45,12 @@ def wall_conditions(position: str, state: State, rules: Rules, assessment: Asses
         present, times_limit, message, evidence = _by_chart(position, design, state, rules, assessment)
     else:
         present, times_limit, message, evidence = _by_k_of_n(position, state, rules, assessment)
-    message += (
-        diagnosis_text(assessment.diagnosis, assessment.diagnosis_probability, assessment.diagnosis_details)
-        or REMEDY
-    )
+    if assessment.diagnosis is None:
+        message += REMEDY
+    else:
+        message += diagnosis_text(
+            assessment.diagnosis, assessment.diagnosis_probability, assessment.diagnosis_details
+        )
     not_wall = state.origin.not_wall
     wall = Condition(
         position=position,
@@ -127,10 +132,13 @@ def _by_chart(
 
 def _by_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
     alarm, rule = state.alarm, rules.alarm
-    limit, value = (
-        limits_by_name(assessment).get(assessment.limit_name),
-        statistic_of(assessment, assessment.limit_name),
-    )
+    statistics = {
+        DISTANCE: assessment.distance_squared,
+        CHART: assessment.mewma_statistic,
+        **(assessment.statistics or {}),
+    }
+    value = statistics.get(LIMITS[assessment.limit_name].of)
+    limit = (assessment.limits or {}).get(assessment.limit_name)
     message = (
         f"{sum(alarm.recent)} of the last {len(alarm.recent)} judged sets at {position} lie beyond the limit "
         f"of {limit or 0.0:.1f} (rule: {rule.k} of {rule.n}): "
@@ -144,3 +152,84 @@ def _by_k_of_n(position: str, state: State, rules: Rules, assessment: Assessment
     }
     times_limit = None if value is None or limit is None else value / limit
     return alarm.active, times_limit, message, evidence
+
+
+def hole_condition(
+    position: str, due: DueSet, state: State, rule: HoleRule, flags: Sequence[Sequence[str]]
+) -> Condition:
+    """Return the condition of a wall without reflected wave; ``flags`` of each accepted shot."""
+    n_without_psw = sum("no_psw" in of_shot for of_shot in flags)
+    return Condition(
+        position=position,
+        kind="no_reflection",
+        alarm_class="damage",
+        priority="critical",
+        present=state.hole.hole,
+        latched=True,
+        message=(
+            f"no reflected wave at {position} in {n_without_psw} of {len(flags)} shots, "
+            f"{rule.consecutive_sets} sets running: the wall has a hole or the chain lost contact; "
+            "the transducer strikes no more"
+        ),
+        evidence={
+            "rule": {"shots": rule.shots, "consecutive_sets": rule.consecutive_sets},
+            "set_index": due.set_index,
+            "shots_without_psw": n_without_psw,
+            "extractor_version": EXTRACTOR_VERSION,
+        },
+    )
+
+
+def device_conditions(
+    position: str, due: DueSet, state: State, rules: Rules, quality: QualitySettings, reason: str
+) -> list[Condition]:
+    """Return the conditions of too few valid shots: first an alarm, later the transducer is retired.
+
+    Parameters
+    ----------
+    reason
+        Why the set's feature is bad or suspect.
+    """
+    poor = state.poor_sets
+    finding = f"{poor} sets running with too few valid shots at {position} (last: {reason})"
+    action = "check coil, striker, sensor and cable"
+    few_valid_shots = Condition(
+        position=position,
+        kind="few_valid_shots",
+        priority="medium",
+        present=poor >= quality.no_data_sets,
+        message=f"{finding}; {action}",
+        evidence={
+            "set_index": due.set_index,
+            "consecutive_poor_sets": poor,
+            "minimum_valid_shots": rules.minimum_valid_shots,
+        },
+    )
+    disabled = replace(
+        few_valid_shots,
+        kind="transducer_disabled",
+        priority="high",
+        present=0 < quality.retire_after_sets <= poor,
+        latched=True,
+        message=f"{finding}: the transducer strikes no more; {action}, then enable it",
+    )
+    return [few_valid_shots, disabled]
+
+
+def not_assessed_reason(state: State) -> str:
+    """Return why a set cannot be compared with a baseline; empty if it can."""
+    if state.baseline is None:
+        return "it has no baseline yet; wait until it is recorded"
+    return state.baseline.reason or ""
+
+
+def not_assessed_condition(position: str, due: DueSet, state: State, baseline_id: int) -> Condition:
+    """Return the condition of a frozen baseline without limits."""
+    return Condition(
+        position=position,
+        kind="not_assessed",
+        priority="medium",
+        present=state.baseline is not None and state.baseline.fitted is None,
+        message=f"nothing is judged at {position}: {not_assessed_reason(state)}",
+        evidence={"set_index": due.set_index, "baseline_id": baseline_id},
+    )

@@ -1,0 +1,61 @@
+"""Levels of detail over the sets of a test: blocks of some sets, of four times as many, and so on.
+
+Blocks start at multiples of their width. Rollups of trends and tiles of the waterfall are stored so.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+FACTOR = 4
+"""Number of blocks that the next coarser block combines."""
+
+
+def level_widths(finest: int, widest: int) -> list[int]:
+    """Return the widths of the blocks in sets, from the finest to at most the widest."""
+    widths = []
+    while finest <= widest:
+        widths.append(finest)
+        finest *= FACTOR
+    return widths
+
+
+def finer_blocks(number: int) -> range:
+    """Return the numbers of the blocks of the next finer level that a block combines."""
+    return range(number * FACTOR, (number + 1) * FACTOR)
+
+
+def sets_per_step(first: int, last: int, most: int, finest: int = 1) -> int:
+    """Return how many sets, ``finest`` or a power of two as many, a step of a figure has at least.
+
+    Parameters
+    ----------
+    first, last
+        Range of sets, inclusive; steps start at multiples of their width.
+    most
+        Maximum number of steps.
+    """
+    width = finest
+    while last // width - first // width >= most:
+        width *= 2
+    return width
+
+
+def parts_of_range(first: int, end: int, widths: Sequence[int]) -> Iterator[tuple[int, int, int]]:
+    """Yield width, first and end of parts that cover a half-open range of sets exactly.
+
+    The widest blocks are in the middle, narrower ones at the ends; parts of width 1 are single sets.
+    """
+    if first >= end:
+        return
+    if not widths:
+        yield 1, first, end
+        return
+    *finer, width = widths
+    whole_first, whole_end = -(-first // width) * width, end // width * width
+    if whole_first >= whole_end:
+        yield from parts_of_range(first, end, finer)
+        return
+    yield from parts_of_range(first, whole_first, finer)
+    yield width, whole_first, whole_end
+    yield from parts_of_range(whole_end, end, finer)

@@ -1,0 +1,67 @@
+"""Features of single shots, extracted where the waveform is computed or recorded."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+
+import numpy as np
+
+from analysis.waves.features import ShotFeatures, extract_all, extract_features
+from hardware_drivers.instruments import Acquired
+from hardware_drivers.measurement import Shot, Waveform
+
+log = logging.getLogger(__name__)
+
+DRY_RUN = "dry_run"
+"""Flag of a record of a rehearsal: noise at the input, since no coil was energised."""
+NOT_ANALYSED = "not_analysed"
+"""Flag of a shot on which the extraction failed: the record is stored and can be analysed later."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class AnalysedWaveform(Waveform):
+    """A waveform that comes with its features, computed by the process that computed the waveform."""
+
+    features: ShotFeatures
+
+
+def analysed(acquired: Sequence[Acquired | None]) -> list[Acquired | None]:
+    """Extract the features of records together; where one fails, all come without."""
+    waveforms = [one.waveform for one in acquired if one is not None]
+    try:
+        features = iter(extract_all(waveforms))
+    except Exception:  # noqa: BLE001 the recorder tries each alone, and logs the one that fails
+        return list(acquired)
+
+    def with_features(waveform: Waveform) -> AnalysedWaveform:
+        parts = {part.name: getattr(waveform, part.name) for part in fields(waveform)}
+        return AnalysedWaveform(**parts, features=next(features))
+
+    return [one and replace(one, waveform=with_features(one.waveform)) for one in acquired]
+
+
+def features_of(shot: Shot) -> ShotFeatures:
+    """Extract the features of a shot; a shot that cannot be analysed is flagged."""
+    if isinstance(shot.waveform, AnalysedWaveform):
+        return shot.waveform.features
+    try:
+        return extract_features(shot.waveform)
+    except Exception:  # a fault of the analysis must never stop the acquisition; it is logged whole
+        log.exception("shot %d (%s) could not be analysed", shot.sequence, shot.key)
+        return ShotFeatures(flags=(NOT_ANALYSED,), valid=False, quality="bad")
+
+
+def features_of_all(shots: Sequence[Shot]) -> list[ShotFeatures]:
+    """Extract the features of many shots; the same as `features_of`, but faster."""
+    try:
+        return extract_all([shot.waveform for shot in shots])
+    except Exception:  # noqa: BLE001 each is tried alone, which logs the one
+        return [features_of(shot) for shot in shots]
+
+
+def features_of_a_rehearsal(shot: Shot) -> ShotFeatures:
+    """Return the only feature of a rehearsal's noise: its RMS about the mean, in V."""
+    noise_rms_v = float(np.std(shot.waveform.volts()))
+    return ShotFeatures(flags=(DRY_RUN,), valid=False, quality="bad", noise_rms_v=noise_rms_v)

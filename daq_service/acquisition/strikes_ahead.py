@@ -1,0 +1,49 @@
+"""Predict the strikes that follow a strike, so that the twin can compute them ahead."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator, Sequence
+
+from daq_service.acquisition.schedule import DueSet
+from hardware_drivers.measurement import ShotKey
+from hardware_drivers.nanoseconds import NS_PER_S
+
+
+def strikes_after(
+    sets: Sequence[DueSet], positions: Sequence[str], *, shots_per_set: int, shot_interval_s: float
+) -> Callable[[ShotKey, int], Iterator[tuple[ShotKey, int]]]:
+    """Return a function that predicts the strikes of `take_set` after a given strike.
+
+    Parameters
+    ----------
+    sets
+        Every planned set; the set of index k is the k-th.
+    positions
+        Solitary-wave positions, in the order in which they are struck.
+
+    Returns
+    -------
+    Callable
+        Takes a strike's key and its time (UTC in ns); yields the keys and times of those after it.
+    """
+    order = list(itertools.product(positions, range(shots_per_set)))
+    slots_ns = [round(slot * shot_interval_s * NS_PER_S) for slot in range(len(order))]
+
+    def following_strikes(key: ShotKey, utc_ns: int) -> Iterator[tuple[ShotKey, int]]:
+        if (key.position, key.shot_index) not in order:
+            return
+        number = order.index((key.position, key.shot_index))
+        start_ns = utc_ns - slots_ns[number]
+        last = (number // shots_per_set + 1) * shots_per_set if key.unscheduled_index else len(order)
+        following = itertools.islice(sets, key.set_index + 1, None)
+        starts = itertools.chain(
+            [(key.set_key, start_ns)], ((due.set_key, due.due_utc_ns) for due in following)
+        )
+        first_slot = number + 1
+        for set_key, start_ns in starts:
+            for slot, (position, shot_index) in enumerate(order[first_slot:last], first_slot):
+                yield ShotKey.in_set(set_key, position, shot_index), start_ns + slots_ns[slot]
+            first_slot, last = 0, len(order)
+
+    return following_strikes

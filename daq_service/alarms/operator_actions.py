@@ -1,0 +1,144 @@
+"""What a person changes of an alarm: acknowledgement, reset, shelf and service (ISA-18.2). Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+from daq_service.alarms.states import NOT_SUPPRESSED, Change, Moment, change_state
+from daq_service.catalogue.rows import AlarmRow, AlarmState, Suppression
+from hardware_drivers.nanoseconds import NS_PER_H
+
+AFTER_ACKNOWLEDGEMENT: Mapping[str, AlarmState] = {
+    "unacknowledged": "acknowledged",
+    "returned_unacknowledged": "normal",
+}
+"""States that wait for an operator, and the state after the acknowledgement."""
+LONGEST_SHELF_H = 72.0
+"""Maximum time of a shelf: a weekend."""
+
+
+def acknowledge(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
+    """Acknowledge an alarm.
+
+    Raises
+    ------
+    ValueError
+        The alarm is not waiting for an acknowledgement.
+    """
+    if row.state not in AFTER_ACKNOWLEDGEMENT:
+        raise ValueError(f"alarm {row.id} is {row.state}: there is nothing to acknowledge")
+    return change_state(
+        row,
+        AFTER_ACKNOWLEDGEMENT[row.state],
+        moment,
+        "alarm_acknowledged",
+        acknowledged_utc_ns=moment.utc_ns,
+        acknowledged_by=author,
+        note=note,
+    )
+
+
+def reset(row: AlarmRow, author: str, note: str, moment: Moment) -> Change:
+    """Reset an alarm: a person has removed its cause, or ends its monitoring.
+
+    Raises
+    ------
+    ValueError
+        The alarm has ended already.
+    """
+    if row.state == "normal":
+        raise ValueError(f"alarm {row.id} has ended already: there is nothing to reset")
+    change = change_state(
+        row,
+        "normal",
+        moment,
+        "alarm_reset",
+        cleared_utc_ns=moment.utc_ns,
+        acknowledged_utc_ns=row.acknowledged_utc_ns or moment.utc_ns,
+        acknowledged_by=row.acknowledged_by or author,
+        note=note or row.note,
+    )
+    return replace(change, author=author)
+
+
+def without_expired_shelf(row: AlarmRow, *, utc_ns: int, wall_utc_ns: int) -> AlarmRow:
+    """Return the row as it is at a moment: without its shelf if that has expired.
+
+    Parameters
+    ----------
+    utc_ns, wall_utc_ns
+        Current time on the experiment's clock, and in real time.
+    """
+    ends_ns, ends_wall_ns = row.shelved_until_utc_ns, row.shelved_until_wall_utc_ns
+    if row.suppressed != "shelved" or ends_ns is None or ends_wall_ns is None:
+        return row
+    has_expired = utc_ns >= ends_ns or wall_utc_ns >= ends_wall_ns
+    return replace(row, **NOT_SUPPRESSED) if has_expired else row
+
+
+def end_expired_shelf(row: AlarmRow, moment: Moment, wall_utc_ns: int) -> Change | None:
+    """End an expired shelf; None if there is none."""
+    current_row = without_expired_shelf(row, utc_ns=moment.utc_ns, wall_utc_ns=wall_utc_ns)
+    return None if current_row is row else change_state(current_row, row.state, moment, "alarm_shelf_expired")
+
+
+def shelve(row: AlarmRow, author: str, reason: str, for_h: float, moment: Moment, wall_utc_ns: int) -> Change:
+    """Shelve an alarm for a number of hours of the test or of real time, whichever end first.
+
+    Raises
+    ------
+    ValueError
+        The alarm has ended, or is out of service.
+    """
+    if row.state == "normal":
+        raise ValueError(f"alarm {row.id} has ended: there is nothing to shelve")
+    if row.suppressed == "out_of_service":
+        raise ValueError(f"alarm {row.id} is out of service: return it to service first")
+    length_ns = round(for_h * NS_PER_H)
+    return change_state(
+        row,
+        row.state,
+        moment,
+        "alarm_shelved",
+        suppressed="shelved",
+        suppressed_by=author,
+        suppressed_reason=reason,
+        shelved_until_utc_ns=moment.utc_ns + length_ns,
+        shelved_until_wall_utc_ns=wall_utc_ns + length_ns,
+    )
+
+
+def take_out_of_service(row: AlarmRow, author: str, reason: str, moment: Moment) -> Change:
+    """Take an alarm out of service until a person returns it.
+
+    Raises
+    ------
+    ValueError
+        It is out of service already.
+    """
+    if row.suppressed == "out_of_service":
+        raise ValueError(f"alarm {row.id} is out of service already: {row.suppressed_reason}")
+    columns = {
+        **NOT_SUPPRESSED,
+        "suppressed": "out_of_service",
+        "suppressed_by": author,
+        "suppressed_reason": reason,
+    }
+    return change_state(row, row.state, moment, "alarm_out_of_service", **columns)
+
+
+def end_suppression(row: AlarmRow, wanted: Suppression, author: str, note: str, moment: Moment) -> Change:
+    """Unshelve an alarm, or return it to service.
+
+    Raises
+    ------
+    ValueError
+        It is not suppressed in that way.
+    """
+    if row.suppressed != wanted:
+        raise ValueError(f"alarm {row.id} is not {wanted.replace('_', ' ')}")
+    event_kind = "alarm_unshelved" if wanted == "shelved" else "alarm_in_service"
+    # The name of the person who ended it stays in the row until the next suppression.
+    columns = {**NOT_SUPPRESSED, "suppressed_by": author, "suppressed_reason": note or None}
+    return change_state(row, row.state, moment, event_kind, **columns)

@@ -1,0 +1,78 @@
+"""Update the state of an assessor with the stored rows of a set, as a rebuild and an older folder need."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Sequence
+
+from analysis.assessment.step import SetOfShots, step
+from analysis.errors import AnalysisError
+from analysis.ultrasound.thickness import substitute_reference
+from analysis.waves.features import ALL_FEATURE_NAMES
+from daq_service.archive import CorruptArchiveError, SetNotFoundError
+from daq_service.assessment.assessor import Assessor, StoredResult
+from daq_service.assessment.pulse_echo import PulseEchoAssessor
+from daq_service.assessment.solitary_wave import SolitaryWaveAssessor, freezes_baseline
+from daq_service.catalogue.rows import AssessmentRow, ThicknessRow
+
+log = logging.getLogger(__name__)
+
+
+def follow(assessor: Assessor, stored: StoredResult) -> Sequence[AssessmentRow]:
+    """Update the state with a set by its rows; return the assessments of a baseline that it completes."""
+    if isinstance(assessor, SolitaryWaveAssessor):
+        return _follow_shots(assessor, stored)
+    assert isinstance(assessor, PulseEchoAssessor)
+    if isinstance(stored.result, ThicknessRow):
+        if assessor.state.reference is None:
+            _follow_reference(assessor, stored, stored.result)
+        assessor.add(stored.result)
+    return ()
+
+
+def _follow_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> Sequence[AssessmentRow]:
+    row, result, before = stored.its_set, stored.result, assessor.state
+    set_of_shots = SetOfShots(
+        set_index=row.set_index,
+        due_h=row.due_h,
+        n_taken=row.n_taken,
+        n_tried=row.n_taken + row.n_missed - row.n_restrikes,
+        n_valid=row.n_valid,
+        quality="bad" if result is None else result.quality,
+        reason="",
+        values={} if result is None else {name: getattr(result, name) for name in ALL_FEATURE_NAMES},
+        flags=stored.flags,
+    )
+    if row.purpose is not None:
+        assessor.diagnose_unscheduled(set_of_shots)
+        return ()
+    assessor.state, _ = step(before, set_of_shots, assessor.rules)
+    return assessor.baseline_assessments() if freezes_baseline(before, assessor.state) else ()
+
+
+def _follow_reference(assessor: PulseEchoAssessor, stored: StoredResult, reading: ThicknessRow) -> None:
+    """Take the reference from a stored record; if the first one is lost, from the next good reading."""
+    if assessor.lost is not None and (reading.quality != "good" or reading.thickness_m is None):
+        return
+    try:
+        waveform = stored.waveform()
+        if assessor.lost is None:
+            assessor.set_reference(assessor.echo_of(waveform, assessor.initial_thickness_m))
+            return
+        first, error = assessor.lost
+        assert reading.travel_time_s is not None
+        assert reading.thickness_m is not None
+        assert first.travel_time_s is not None
+        substitute = substitute_reference(
+            assessor.echo_of(waveform, reading.thickness_m),
+            travel_time_s=reading.travel_time_s,
+            reference_travel_time_s=first.travel_time_s,
+        )
+    except AnalysisError:  # it has no echo
+        return
+    except (CorruptArchiveError, SetNotFoundError) as unreadable:
+        if assessor.lost is None and reading.travel_time_s is not None:
+            assessor.lost = reading, unreadable
+        return
+    log.warning("set %d stands in for the reference of %s: %s", reading.set_index, assessor.position, error)
+    assessor.set_reference(substitute)

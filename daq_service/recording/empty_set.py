@@ -1,0 +1,72 @@
+"""Rows and alarms of a set that gave no record."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from dataclasses import replace
+
+from daq_service.acquisition.schedule import DueSet
+from daq_service.acquisition.take_set import TakenSet
+from daq_service.alarms.rig_trouble import lost_cause, rig_condition
+from daq_service.alarms.states import Moment
+from daq_service.assessment.assessor import PositionResult
+from daq_service.assessment.transaction import Transaction
+from daq_service.recording.set_assessor import SetAssessor, add_confirmation
+
+log = logging.getLogger(__name__)
+
+
+def nothing_taken(
+    assessor: SetAssessor,
+    due: DueSet,
+    causes: Mapping[str, str],
+    *,
+    utc_ns: int,
+    tried: TakenSet | None = None,
+) -> Transaction:
+    """Return the rows of a set without a record, with the causes but no file; to be committed.
+
+    Parameters
+    ----------
+    causes
+        Why there is none, by position.
+    tried
+        The attempts, which show the state of the instruments; None: there were none.
+    """
+    moment = Moment(utc_ns=utc_ns, due_h=due.due_h, **due.set_key._asdict())
+    transaction = Transaction()
+    retired = assessor.retired() if tried is None else tried.retired
+    for position in assessor.positions_of(due):
+        gone = position in retired
+        missed = (
+            []
+            if tried is None
+            else [key for key in (item.key for item in tried.missed) if key.position == position]
+        )
+        restrikes = sum(key.attempt > 0 for key in missed)
+        position_result = PositionResult()
+        if tried is not None and not gone and due.position is None:
+            position_result = assessor.assessors[position].assess_empty_set(due, len(missed) - restrikes)
+        row = replace(
+            assessor.without_records(
+                due,
+                position,
+                retired=gone,
+                cause=retired.get(position) or causes[position],
+            ),
+            n_missed=len(missed),
+            n_restrikes=restrikes,
+        )
+        transaction.add_position(row, [], position_result, moment)
+        for condition in position_result.conditions:
+            assessor.carry_alarm(condition, moment, transaction)
+    if tried is not None and (tried.trouble is not None or tried.missed):
+        unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
+        payload = rig_condition(due, tried.instrument_error(), unanswered, proven=assessor.proven)
+        assessor.carry_alarm(payload, moment, transaction)
+    log.warning("set %s missed: %s", due.set_key, next(iter(causes.values())))
+    if due.position is not None:
+        add_confirmation(assessor.alarms, due.position, transaction, moment)
+        return transaction
+    return assessor.with_environment(due, moment, transaction)

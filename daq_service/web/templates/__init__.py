@@ -1,0 +1,71 @@
+"""Templates of the printable HTML pages, and the texts of their numbers.
+
+A page is one file without scripts: `base.html.j2` has head and style, `macros.html.j2` tables and figures.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from daq_service.clock import format_utc
+
+NOT_KNOWN = "not known"
+
+
+def render(template: str, **context: object) -> bytes:
+    """Return the HTML of a page.
+
+    Raises
+    ------
+    jinja2.UndefinedError
+        The template uses a name that the context does not have.
+    """
+    return _environment().get_template(template).render(context).encode()
+
+
+@cache
+def _environment() -> Environment:
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "base64": lambda content: base64.b64encode(content).decode(),
+        "plain": plain_text,
+        "quantity": quantity,
+        "significant": significant,
+        "utc": lambda utc_ns: format_utc(utc_ns, 0),
+        "words": lambda name: name.replace("_", " "),
+    }
+    environment.globals |= {"not_known": NOT_KNOWN, "solimon": f"solimon {version('solimon')}"}
+    return environment
+
+
+def quantity(value: float | None, factor: float = 1.0, digits: int = 2, unit: str = "") -> str:
+    """Return a value as text with its unit."""
+    if value is None:
+        return NOT_KNOWN
+    return f"{value * factor:.{digits}f} {unit}".rstrip()
+
+
+def significant(value: float | None, digits: int = 4) -> str:
+    """Return a number as text with so many significant digits."""
+    return NOT_KNOWN if value is None else f"{value:.{digits}g}"
+
+
+def plain_text(value: object) -> str:
+    """Return any value of a row as text."""
+    if isinstance(value, Mapping):
+        return ", ".join(f"{name} {plain_text(item)}" for name, item in value.items())
+    if isinstance(value, list | tuple):
+        return ", ".join(map(plain_text, value))
+    return significant(value) if isinstance(value, float) or value is None else str(value)
