@@ -44,6 +44,7 @@ from analysis.statistics.limits import f_predictive_limit
 from analysis.statistics.rules import NOMINAL_RATE, AlarmRule, AlarmState, next_alarm_state
 from daq_service.cli.offline.twin_line import assessed_sets
 from daq_service.settings.file import load_settings
+from hardware_drivers.measurement import SetKey
 from simulator.experiment.processes import unit_t
 from simulator.experiment.scatter import temperature
 from simulator.experiment.seating import Climate, climate, seat_of_set
@@ -170,7 +171,7 @@ def sets_of(case: Case, level: str, model: str, seed: int) -> tuple[FloatArray, 
         place, fault_k = source_values(case, case.part(index), reseat, n)
         warmer_k = room.at(hour_h) - drift.mean_temperature_c + fault_k
         seat = seat_of_set(
-            level, seed, "B", chain, weather, set_index=index, hour_h=hour_h, warmer_k=warmer_k
+            level, seed, "B", chain, weather, set_key=SetKey(index), hour_h=hour_h, warmer_k=warmer_k
         )
         places.append(place + seat.place)
         seats.append(seat)

@@ -13,7 +13,7 @@ import argparse
 import json
 import sqlite3
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +30,13 @@ ADDED = {"uuid", "site", "interval_low_m", "interval_high_m", "experiment_identi
 """Columns and datasets that came later."""
 DERIVED = {"trend_blocks"}
 """Tables that are computed from the others, with a column more or less."""
+NUMBER = {"unscheduled_index"}
+BY_KEY = {"set_index", "title", "entry_identifier_uuid"}
+"""Datasets of an unscheduled set that show its key, which was one number; its rows have the same key."""
 TIMELESS = ADDED | {
     "row_crc32",
+    "file_sha256",
+    "wall_utc_ns",
     "finished_wall_utc_ns",
     "created_utc_ns",
     "solimon_version",
@@ -76,7 +81,16 @@ def current_values(table: str, row: dict[str, Any]) -> dict[str, Any]:
     for name in NESTED.get(table, ()):
         if row.get(name) is not None:
             row[name] = json.loads(row[name])
-    return {name: value for name, value in current_row(table, row).items() if name not in TIMELESS}
+    return without_zeros(current_row(table, row), TIMELESS)
+
+
+def without_zeros(row: dict[str, Any], left_out: Set[str] = frozenset()) -> dict[str, Any]:
+    """Return a row without the zero of a scheduled set, which earlier versions lack."""
+    return {
+        name: without_zeros(value) if isinstance(value, dict) else value
+        for name, value in row.items()
+        if name not in left_out and (not name.endswith("unscheduled_index") or value)
+    }
 
 
 def datasets(folder: Path) -> Iterator[tuple[str, bytes, str]]:
@@ -88,7 +102,8 @@ def datasets(folder: Path) -> Iterator[tuple[str, bytes, str]]:
             if (
                 isinstance(item, h5py.Dataset)
                 and not name.startswith("entry/provenance")
-                and name.rpartition("/")[2] not in ADDED
+                and name.rpartition("/")[2]
+                not in (ADDED | NUMBER | (BY_KEY if of_file.count("_") > 2 else set()))
             ):
                 attributes = {key: np.asarray(value).tolist() for key, value in sorted(item.attrs.items())}
                 content = np.asarray(item[()])

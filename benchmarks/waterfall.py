@@ -26,7 +26,7 @@ from daq_service.archive.finalize_set import compact_set
 from daq_service.archive.waterfall.image import Picture, Wanted, WaterfallReader
 from daq_service.archive.waterfall.tile_files import tiles_of, write_tiles_of_file
 from daq_service.archive.waterfall.tiles import Tiles, n_bytes
-from hardware_drivers.measurement import Calibration, Shot, ShotKey, Stamp, Waveform
+from hardware_drivers.measurement import Calibration, SetKey, Shot, ShotKey, Stamp, Waveform
 from hardware_drivers.nanoseconds import NS_PER_H
 
 POSITION, EXPERIMENT = "B", "benchmark"
@@ -129,8 +129,8 @@ def main() -> None:
                 index, n_shots=given.shots, n_samples=given.samples, planted=index == given.sets // 2
             )
             files[index] = archive.store_set(record).file
-            compact_set(folder, index)
-            archive.settle(index)
+            compact_set(folder, SetKey(index))
+            archive.settle(SetKey(index))
             start = time.perf_counter()
             write_tiles_of_file(folder, EXPERIMENT, files[index], {})
             kept_s += time.perf_counter() - start

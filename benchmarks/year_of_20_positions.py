@@ -122,13 +122,13 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
     # The first one that the probe took (`MISSED_EVERY`): what every later reading refers to.
     first, last = records_of(settings, due_sets[1], 0), records_of(settings, due_sets[-1], sequence)
     for due in (due_sets[0], *due_sets[2:-1]):
-        path = folder / set_reference(due.set_index, due.due_utc_ns)
+        path = folder / set_reference(due.set_key, due.due_utc_ns)
         path.write_bytes(b"a file without content is one that was lost")
     with closing(FolderArchive(folder)) as archive:
         for record in (first, last):
             archive.store_set(record)
-            compact_set(folder, record.set_index)
-            archive.settle(record.set_index)
+            compact_set(folder, record.set_key)
+            archive.settle(record.set_key)
     Heartbeat(folder, deadline_s=1e9).beat("waiting")
     (folder / "live").mkdir(exist_ok=True)
     LiveFigure(folder, "simulated").show(last.echoes[0], due_h=due_sets[-1].due_h, features=None)
@@ -163,7 +163,7 @@ def _add_set(
     commit: SetCommit, settings: Settings, due: DueSet, sequence: int, rng: np.random.Generator
 ) -> int:
     """Add all rows of a set to a commit; return the sequence of its last shot."""
-    file = set_reference(due.set_index, due.due_utc_ns)
+    file = set_reference(due.set_key, due.due_utc_ns)
     values = rng.standard_normal((len(settings.positions), 5))
     for number, (position, place) in enumerate(settings.positions.items()):
         own: dict[str, Any] = {"set_index": due.set_index, "position": position}
@@ -380,7 +380,7 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
         return [path.format(table=table) + f"?{query}" for table, query in day.items()]
     if path.endswith("/files/{name}"):
         last = plan(year_settings().schedule.phases, parse_utc(year_settings().clock.epoch))[n_sets - 1]
-        return [path.format(name=Path(set_reference(last.set_index, last.due_utc_ns)).name)]
+        return [path.format(name=Path(set_reference(last.set_key, last.due_utc_ns)).name)]
     if path.endswith("/waveforms/{position}"):
         path += f"?first_set={n_sets - 1}&last_set={n_sets - 1}"
     path = path.replace("{set_index}", str(n_sets - 1)).replace("{shot_index}", "0")

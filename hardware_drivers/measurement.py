@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import ClassVar, Literal
+from typing import ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -128,24 +128,51 @@ class Waveform:
         return bool(self.counts.size and (self.counts.min() <= low + 1 or self.counts.max() >= high))
 
 
-PLANNED_SETS = 10_000_000
-"""Sets of a plan have indices below it. The n-th set outside the schedule that follows planned set k, a
-confirmation set, has the index ``n * PLANNED_SETS + k``: no index of the plan ever depends on it."""
-MOST_EXTRA = 200
-"""Sets outside the schedule between two planned ones: all indices stay below 2**31."""
+_SCHEDULED_SETS = 10_000_000
+"""Number of scheduled sets that `SetKey.number` distinguishes."""
+MOST_UNSCHEDULED = 200
+"""Maximum number of unscheduled sets between two scheduled ones: each `SetKey.number` is below 2**31."""
 
 Purpose = Literal["planned", "confirmation"]
 
 
-def purpose_of(set_index: int) -> Purpose:
-    """Return the purpose of a set."""
-    return "planned" if set_index < PLANNED_SETS else "confirmation"
+class SetKey(NamedTuple):
+    """Key of a set; keys sort in the order of the sets, their text is ``12`` or ``12.1``.
 
+    Attributes
+    ----------
+    set_index
+        Index of a scheduled set.
+    unscheduled_index
+        0: that set itself; n: the n-th unscheduled set after it.
+    """
 
-def in_order(set_index: int) -> tuple[int, int]:
-    """Return the scheduled set and the number of the unscheduled one after it (0: none), to sort by time."""
-    unscheduled, planned = divmod(set_index, PLANNED_SETS)
-    return planned, unscheduled
+    set_index: int
+    unscheduled_index: int = 0
+
+    def __str__(self) -> str:
+        return f"{self.set_index}.{self.unscheduled_index}" if self.unscheduled_index else str(self.set_index)
+
+    @classmethod
+    def parse(cls, text: str) -> SetKey:
+        """Return the key with this text; a ValueError if there is none."""
+        return cls(*map(int, text.split(".", 1)))
+
+    @property
+    def purpose(self) -> Purpose:
+        """Return the purpose of the set."""
+        return "confirmation" if self.unscheduled_index else "planned"
+
+    @property
+    def number(self) -> int:
+        """Return the key as one number: in frames of the journal and in the twin's random numbers."""
+        return self.unscheduled_index * _SCHEDULED_SETS + self.set_index
+
+    @classmethod
+    def of_number(cls, number: int) -> SetKey:
+        """Return the key of a number: data of earlier versions store it as the index of the set."""
+        unscheduled_index, set_index = divmod(number, _SCHEDULED_SETS)
+        return cls(set_index, unscheduled_index)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -156,11 +183,28 @@ class ShotKey:
     set_index: int
     shot_index: int
     attempt: int = 0
+    unscheduled_index: int = 0
 
     def __post_init__(self) -> None:
-        for name in ("set_index", "shot_index", "attempt"):
+        for name in ("set_index", "shot_index", "attempt", "unscheduled_index"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must not be negative")
+
+    @property
+    def set_key(self) -> SetKey:
+        """Return the key of its set."""
+        return SetKey(self.set_index, self.unscheduled_index)
+
+    @classmethod
+    def in_set(cls, set_key: SetKey, position: str, shot_index: int, attempt: int = 0) -> ShotKey:
+        """Return the key of a shot of a set."""
+        return cls(
+            position=position,
+            set_index=set_key.set_index,
+            unscheduled_index=set_key.unscheduled_index,
+            shot_index=shot_index,
+            attempt=attempt,
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

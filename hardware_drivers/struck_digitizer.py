@@ -37,7 +37,7 @@ class StruckDigitizer(ABC):
         if self._armed is not None:
             raise ConfigurationError(
                 f"already armed at {self._armed.position!r} for shot {self._armed.shot_index} of set "
-                f"{self._armed.set_index}; read or disarm first"
+                f"{self._armed.set_key}; read or disarm first"
             )
         self._armed = key
 

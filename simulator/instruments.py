@@ -152,7 +152,7 @@ class RecordsAhead:
 
 def _groups(strikes: Iterable[TimedStrike]) -> Iterator[list[TimedStrike]]:
     """Group neighbouring strikes of one position and set, at most `LARGEST_GROUP` together."""
-    for _, neighbours in groupby(strikes, key=lambda strike: (strike[0].position, strike[0].set_index)):
+    for _, neighbours in groupby(strikes, key=lambda strike: (strike[0].position, strike[0].set_key)):
         while group := list(islice(neighbours, LARGEST_GROUP)):
             yield group
 

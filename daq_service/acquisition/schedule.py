@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
-from hardware_drivers.measurement import PLANNED_SETS, purpose_of
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
 if TYPE_CHECKING:
@@ -49,6 +49,12 @@ class DueSet:
     due_h: float
     due_utc_ns: int
     position: str | None = None
+    unscheduled_index: int = 0
+
+    @property
+    def set_key(self) -> SetKey:
+        """Return the key of the set."""
+        return SetKey(self.set_index, self.unscheduled_index)
 
 
 def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
@@ -59,7 +65,8 @@ def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> D
     due_h = after.due_h + (utc_ns - after.due_utc_ns) / NS_PER_H
     epoch_ns = after.due_utc_ns - round(after.due_h * NS_PER_H)
     return DueSet(
-        set_index=number * PLANNED_SETS + after.set_index,
+        set_index=after.set_index,
+        unscheduled_index=number,
         due_h=due_h,
         due_utc_ns=epoch_ns + round(due_h * NS_PER_H),
         position=position,
@@ -98,10 +105,10 @@ def plan(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None 
 
 def due_of(record: SetRecord) -> DueSet:
     """Return the due time of a stored set, and the position of an unscheduled one."""
-    is_unscheduled = purpose_of(record.set_index) != "planned"
     return DueSet(
         set_index=record.set_index,
+        unscheduled_index=record.unscheduled_index,
         due_h=record.due_h,
         due_utc_ns=record.due_utc_ns,
-        position=record.positions[0].position if is_unscheduled else None,
+        position=record.positions[0].position if record.unscheduled_index else None,
     )

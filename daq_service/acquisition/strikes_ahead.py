@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Iterator, Sequence
 
 from daq_service.acquisition.schedule import DueSet
-from hardware_drivers.measurement import ShotKey, in_order
+from hardware_drivers.measurement import ShotKey
 from hardware_drivers.nanoseconds import NS_PER_S
 
 
@@ -35,17 +35,15 @@ def strikes_after(
             return
         number = order.index((key.position, key.shot_index))
         start_ns = utc_ns - slots_ns[number]
-        scheduled_set, extra = in_order(key.set_index)
-        last = (number // shots_per_set + 1) * shots_per_set if extra else len(order)
-        following = itertools.islice(sets, scheduled_set + 1, None)
+        last = (number // shots_per_set + 1) * shots_per_set if key.unscheduled_index else len(order)
+        following = itertools.islice(sets, key.set_index + 1, None)
         starts = itertools.chain(
-            [(key.set_index, start_ns)], ((due.set_index, due.due_utc_ns) for due in following)
+            [(key.set_key, start_ns)], ((due.set_key, due.due_utc_ns) for due in following)
         )
         first_slot = number + 1
-        for set_index, start_ns in starts:
+        for set_key, start_ns in starts:
             for slot, (position, shot_index) in enumerate(order[first_slot:last], first_slot):
-                shot = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
-                yield shot, start_ns + slots_ns[slot]
+                yield ShotKey.in_set(set_key, position, shot_index), start_ns + slots_ns[slot]
             first_slot, last = 0, len(order)
 
     return following_strikes

@@ -133,7 +133,7 @@ def take_set(
             continue
         if not rig.clock.wait_until(start_ns, idle):
             return
-        key = ShotKey(position=position, set_index=plan.due.set_index, shot_index=0)
+        key = ShotKey.in_set(plan.due.set_key, position, 0)
         yield _echo(rig, plan, key, sequence, boot_id)
     strikes = itertools.product(plan.of_method(SOLITARY_WAVE), range(plan.shots_per_set))
     slot = itertools.count(progress.n_strikes)
@@ -147,9 +147,7 @@ def take_set(
                 return
             if not may_strike(position):  # commands are executed while waiting
                 break
-            key = ShotKey(
-                position=position, set_index=plan.due.set_index, shot_index=shot_index, attempt=attempt
-            )
+            key = ShotKey.in_set(plan.due.set_key, position, shot_index, attempt)
             measurement, error, last_attempt = _strike(rig, plan, key, sequence, boot_id)
             yield measurement
             n_lost = 0 if error is None else n_lost + 1

@@ -12,6 +12,7 @@ from typing import Any
 
 from daq_service.catalogue.rows import AlarmRow, BaselineRow
 from daq_service.clock import format_utc
+from hardware_drivers.measurement import SetKey
 
 Evidence = Mapping[str, Any]
 
@@ -44,7 +45,7 @@ def evidence_sentences(
     baseline = baselines.get(row.evidence.get("baseline_id", 0))
     name = None if baseline is None else baseline.name
     doubts = [] if baseline is None else baseline_doubts(baseline.baseline_quality)
-    with_set = "" if row.raised_set_index is None else f" with set {row.raised_set_index}"
+    with_set = "" if row.raised_set_key is None else f" with set {row.raised_set_key}"
     extractor = row.evidence.get("extractor_version")
     version = "" if extractor is None else f"; computed by extractor {extractor}"
     return [
@@ -213,7 +214,8 @@ def _poor_sets(evidence: Evidence) -> Iterator[str]:
 
 def _rig(evidence: Evidence) -> Iterator[str]:
     if known := _values(evidence, "set_index", "error"):
-        yield f"In set {known[0]} the instruments' driver raised {known[1]}."
+        set_key = SetKey(known[0], evidence.get("unscheduled_index", 0))
+        yield f"In set {set_key} the instruments' driver raised {known[1]}."
     elif known := _values(evidence, "error"):
         yield f"When the rig was to be opened, the instruments' driver raised {known[0]}."
 

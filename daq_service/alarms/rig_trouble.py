@@ -51,8 +51,12 @@ def rig_condition(due: DueSet, trouble: str, unanswered: str, *, proven: bool) -
         kind=RIG_UNAVAILABLE,
         priority="high",
         present=bool(trouble or unanswered),
-        message=f"set {due.set_index} {event}: {message}; {outlook}",
-        evidence={"set_index": due.set_index, "error": error},
+        message=f"set {due.set_key} {event}: {message}; {outlook}",
+        evidence={
+            "set_index": due.set_index,
+            "unscheduled_index": due.unscheduled_index,
+            "error": error,
+        },
     )
 
 

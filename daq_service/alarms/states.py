@@ -26,6 +26,7 @@ from types import MappingProxyType
 from typing import Any
 
 from daq_service.catalogue.rows import AlarmClass, AlarmRow, AlarmState, Priority
+from hardware_drivers.measurement import SetKey
 
 PRIORITIES: tuple[Priority, ...] = ("low", "medium", "high", "critical")
 SUPPRESSION = (
@@ -89,6 +90,12 @@ class Moment:
     utc_ns: int
     due_h: float
     set_index: int | None
+    unscheduled_index: int = 0
+
+    @property
+    def set_key(self) -> SetKey | None:
+        """Return the key of the assessed set; None without one."""
+        return None if self.set_index is None else SetKey(self.set_index, self.unscheduled_index)
 
 
 def retired_positions(alarms: Iterable[AlarmRow]) -> dict[str, str]:
@@ -167,6 +174,7 @@ def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
         raised_utc_ns=moment.utc_ns,
         raised_h=moment.due_h,
         raised_set_index=moment.set_index,
+        raised_unscheduled_index=moment.unscheduled_index,
         changed_utc_ns=moment.utc_ns,
         message=condition.message,
         evidence=_evidence_of(condition),

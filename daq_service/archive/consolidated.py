@@ -32,12 +32,11 @@ from daq_service.archive.nexus import (
     image_file,
     image_of,
     open_root,
-    read_field,
     set_attributes,
 )
-from daq_service.archive.reader import RecordGroup, group_names, opened_set
+from daq_service.archive.reader import RecordGroup, group_names, opened_set, set_key_of
 from daq_service.archive.records import SetReference
-from hardware_drivers.measurement import Calibration
+from hardware_drivers.measurement import Calibration, SetKey
 from hardware_drivers.units import unit_of
 
 CONSOLIDATED_VERSION = "1.0"
@@ -73,7 +72,7 @@ class Block:
         Path of the array in the file, whose shape is (len(shot_ids), n_samples).
     """
 
-    set_index: int
+    set_key: SetKey
     file: SetReference
     dataset: str
     shot_ids: Sequence[int]
@@ -119,7 +118,7 @@ def blocks_of(folder: Path, file: SetReference) -> list[tuple[Sampling, Block]]:
                 pretrigger_samples=group.pretrigger_samples,
             )
             block = Block(
-                set_index=int(read_field(entry.id, "set_index")),
+                set_key=set_key_of(entry),
                 file=file,
                 dataset=str(group.signal.name),
                 shot_ids=group.sequences,

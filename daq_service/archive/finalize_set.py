@@ -17,11 +17,12 @@ from daq_service.archive.layout import Record, build_image
 from daq_service.archive.reader import read_records
 from daq_service.archive.records import TEMPORARY_SUFFIX, Places, Results, SetRecord, SetReference
 from daq_service.shared_file import read_shared, write_durably
+from hardware_drivers.measurement import SetKey
 
 
 def compact_set(
     folder: Path,
-    set_index: int,
+    set_key: SetKey,
     places: Places | None = None,
     results: Results = MappingProxyType({}),
     also: Callable[[SetRecord], str] | None = None,
@@ -53,13 +54,13 @@ def compact_set(
     OSError
         The disk refuses.
     """
-    journaled = read_journal(folder, of_set=set_index, places=places).get(set_index)
+    journaled = read_journal(folder, of_set=set_key, places=places).get(set_key)
     if journaled is None:
-        raise SetNotFoundError(f"the journal of {folder} has no set {set_index}")
+        raise SetNotFoundError(f"the journal of {folder} has no set {set_key}")
     if (reference := journaled.reference) is None:
-        raise CorruptArchiveError(f"set {set_index} in the journal has no end; the journal keeps it")
+        raise CorruptArchiveError(f"set {set_key} in the journal has no end; the journal keeps it")
     if damages := journaled.damages():
-        raise CorruptArchiveError(f"set {set_index} in the journal: {'; '.join(map(str, damages))}")
+        raise CorruptArchiveError(f"set {set_key} in the journal: {'; '.join(map(str, damages))}")
     record, path = replace(journaled.record(), results=results), folder / reference
     image = build_image(record)
     if is_new := not path.exists():

@@ -39,11 +39,11 @@ from numpy.typing import NDArray
 from daq_service.archive.draft import Node, add_field, add_group, image_of_draft, new_draft
 from daq_service.archive.records import SetRecord, waveform_crc32
 from daq_service.clock import format_utc
-from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform, purpose_of
+from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.units import unit_of
 
-FORMAT_VERSION = "1.5"
+FORMAT_VERSION = "1.6"
 """Raised in its first number when an older reader would misunderstand the file."""
 RESULTS = {"features": "shot_id", "set_features": "position", "thickness": "position"}
 """Tables of a set's results, each with its key column."""
@@ -152,8 +152,8 @@ def _add_facts(entry: Node, record: SetRecord) -> None:
     configuration_hash = str(provenance.get("configuration_hash", ""))
     sequences = [shot.sequence for shot in record.records]
     # The identifier follows from the content, so every copy of a set has the same one.
-    identity = f"{configuration_hash}/{record.set_index}/{record.started_utc_ns}/{sequences}"
-    add_field(entry, "title", f"Set {record.set_index}, hour {record.due_h:g}")
+    identity = f"{configuration_hash}/{record.set_key}/{record.started_utc_ns}/{sequences}"
+    add_field(entry, "title", f"Set {record.set_key}, hour {record.due_h:g}")
     add_field(entry, "start_time", format_utc(record.started_utc_ns))
     add_field(entry, "end_time", format_utc(record.ended_utc_ns))
     add_field(entry, "entry_identifier_uuid", str(uuid.uuid5(uuid.NAMESPACE_OID, identity)))
@@ -161,7 +161,8 @@ def _add_facts(entry: Node, record: SetRecord) -> None:
         add_field(entry, "experiment_identifier", test_uuid)
     add_field(entry, "program_name", "solimon", version=_version(record), configuration=configuration_hash)
     add_field(entry, "set_index", np.int64(record.set_index))
-    add_field(entry, "purpose", purpose_of(record.set_index))
+    add_field(entry, "unscheduled_index", np.int64(record.unscheduled_index))
+    add_field(entry, "purpose", record.set_key.purpose)
     add_field(entry, "due_h", np.float64(record.due_h), units="h")
     if record.trouble:
         add_field(entry, "trouble", record.trouble, description="instrument error that ended the set early")

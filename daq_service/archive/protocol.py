@@ -18,7 +18,7 @@ from daq_service.archive.records import (
     SetReference,
     StoredSet,
 )
-from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, Waveform
 
 
 @runtime_checkable
@@ -33,7 +33,7 @@ class SetReader(Protocol):
 
     name: str
 
-    def sets(self) -> Mapping[int, SetReference]:
+    def sets(self) -> Mapping[SetKey, SetReference]:
         """Return every complete set: index to reference, in the order of the sets."""
         ...
 
@@ -103,7 +103,7 @@ class Archive(SetReader, Protocol):
     journal_damage: JournalDamage
 
     def begin_set(
-        self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+        self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
     ) -> None:
         """Record the start of a set; durable with the next `sync`."""
         ...
@@ -122,7 +122,7 @@ class Archive(SetReader, Protocol):
         """
         ...
 
-    def open_sets(self) -> Mapping[int, OpenSet]:
+    def open_sets(self) -> Mapping[SetKey, OpenSet]:
         """Return the unfinished sets of an earlier process by index."""
         ...
 
@@ -134,11 +134,11 @@ class Archive(SetReader, Protocol):
         """Release open files; nothing is lost."""
         ...
 
-    def places(self, set_index: int) -> Places:
+    def places(self, set_key: SetKey) -> Places:
         """Return the byte ranges of a set's durable frames in the journal."""
         ...
 
-    def settle(self, set_index: int) -> None:
+    def settle(self, set_key: SetKey) -> None:
         """Remove a set from the journal: it has its own file, or rows without a record."""
         ...
 

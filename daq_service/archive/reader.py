@@ -40,7 +40,6 @@ from daq_service.archive.records import (
     SetRecord,
     SetReference,
     SetTables,
-    ordered,
     referenced_sets,
     waveform_crc32,
 )
@@ -48,6 +47,7 @@ from daq_service.shared_file import read_shared
 from hardware_drivers.measurement import (
     Calibration,
     PulseEchoRecord,
+    SetKey,
     Shot,
     ShotKey,
     Stamp,
@@ -77,16 +77,16 @@ class FolderSetReader:
     def __init__(self, folder: Path) -> None:
         self.folder, self.name = folder, str(folder)
 
-    def sets(self) -> dict[int, SetReference]:
-        """Return the complete sets: index to reference, in the order of the sets."""
-        journaled = {index: item.reference for index, item in self._journal().items() if item.reference}
-        return ordered({**journaled, **self._files()})
+    def sets(self) -> dict[SetKey, SetReference]:
+        """Return the complete sets: key to reference, in the order of the sets."""
+        journaled = {key: item.reference for key, item in self._journal().items() if item.reference}
+        return dict(sorted({**journaled, **self._files()}.items()))
 
     def n_bytes(self) -> int:
         """Return the size in bytes of the complete files and of the sets without a file."""
         files = self._files()
         journaled = sum(
-            item.n_bytes for item in self._journal().values() if item.end and item.set_index not in files
+            item.n_bytes for item in self._journal().values() if item.end and item.set_key not in files
         )
         return journaled + sum((self.folder / file).stat().st_size for file in files.values())
 
@@ -133,7 +133,7 @@ class FolderSetReader:
         # The recorder made the bytes that have this checksum: nothing in them leads elsewhere.
         with opened_set(self.folder / reference, content, is_own=True) as entry:
             return SetTables(
-                set_index=int(read_field(entry.id, "set_index")),
+                set_key=set_key_of(entry),
                 shots=_rows_of(_read_table(entry)),
                 results={
                     name: _rows_of(_read_columns(entry[name], *entry[name]))
@@ -156,11 +156,11 @@ class FolderSetReader:
         journaled = self._journaled(reference)
         return _verify_file(self.folder / reference) if journaled is None else journaled.damages()
 
-    def _files(self) -> dict[int, SetReference]:
-        """Return the references of the sets' files by set index."""
+    def _files(self) -> dict[SetKey, SetReference]:
+        """Return the references of the sets' files by key."""
         return referenced_sets(path.name for path in (self.folder / SETS_FOLDER).glob("set_*.h5"))
 
-    def _journal(self) -> dict[int, JournaledSet]:
+    def _journal(self) -> dict[SetKey, JournaledSet]:
         """Read the journal."""
         try:
             return read_journal(self.folder)
@@ -242,8 +242,10 @@ def unreadable_parts(path: Path, content: bytes) -> list[Damage]:
 
 def _record_of(entry: h5py.Group, records: Sequence[Shot | PulseEchoRecord]) -> SetRecord:
     """Read the metadata of a set and combine it with its records."""
+    set_index, unscheduled_index = set_key_of(entry)
     return SetRecord(
-        set_index=int(read_field(entry.id, "set_index")),
+        set_index=set_index,
+        unscheduled_index=unscheduled_index,
         due_utc_ns=int(read_field(entry.id, "due_utc_ns")),
         due_h=float(read_field(entry.id, "due_h")),
         started_utc_ns=int(read_field(entry.id, "started_utc_ns")),
@@ -366,7 +368,7 @@ def _read_records(
 ) -> tuple[list[Shot | PulseEchoRecord], list[Damage]]:
     """Return all readable records in order, and the corrupt ones; of one position only if it is given."""
     table = _read_table(entry)
-    set_index = int(read_field(entry.id, "set_index"))
+    set_key = set_key_of(entry)
     truths = _read_facts(entry, "truth") if facts else {}
     settings = _read_facts(entry, "settings") if facts else {}
     row_of = {
@@ -392,7 +394,7 @@ def _read_records(
                 continue
             common: dict[str, Any] = {
                 "sequence": sequence,
-                "key": _key(table, row_of[sequence], set_index),
+                "key": _key(table, row_of[sequence], set_key),
                 "stamp": _stamp(table, row_of[sequence]),
                 "waveform": waveform,
                 "truth": truths.get(sequence, {}),
@@ -443,14 +445,17 @@ def _read_outcomes(table: _Columns, records: Sequence[Shot | PulseEchoRecord]) -
     }
 
 
-def _key(table: _Columns, row: int, set_index: int) -> ShotKey:
+def set_key_of(entry: h5py.Group) -> SetKey:
+    """Read the key of a set; up to format 1.5 it is one number."""
+    key = SetKey.of_number(int(read_field(entry.id, "set_index")))
+    if "unscheduled_index" not in entry:
+        return key
+    return key._replace(unscheduled_index=int(read_field(entry.id, "unscheduled_index")))
+
+
+def _key(table: _Columns, row: int, set_key: SetKey) -> ShotKey:
     """Return the shot key of a row."""
-    return ShotKey(
-        position=table["position"][row],
-        set_index=set_index,
-        shot_index=table["shot_index"][row],
-        attempt=table["attempt"][row],
-    )
+    return ShotKey.in_set(set_key, table["position"][row], table["shot_index"][row], table["attempt"][row])
 
 
 def _stamp(table: _Columns, row: int) -> Stamp:
@@ -494,9 +499,9 @@ def _read_missed(entry: h5py.Group) -> list[MissedRecord]:
     if "missed" not in entry:
         return []
     columns = _read_columns(entry["missed"], "position", "shot_index", "attempt", "cause", "reason")
-    set_index = int(read_field(entry.id, "set_index"))
+    set_key = set_key_of(entry)
     return [
-        MissedRecord(key=_key(columns, row, set_index), cause=cause, reason=columns["reason"][row])
+        MissedRecord(key=_key(columns, row, set_key), cause=cause, reason=columns["reason"][row])
         for row, cause in enumerate(columns["cause"])
     ]
 

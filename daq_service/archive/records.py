@@ -8,13 +8,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import lru_cache
-from typing import Any, NewType, TypeVar
+from typing import Any, NewType
 
 from daq_service.clock import parse_utc
-from hardware_drivers.measurement import PLANNED_SETS, PulseEchoRecord, Shot, ShotKey, Waveform, in_order
+from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, ShotKey, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
-
-T = TypeVar("T")
 
 SETS_FOLDER = "sets"
 QUARANTINE_FOLDER = "quarantine"
@@ -113,24 +111,30 @@ class SetRecord:
     environment: Mapping[str, float | str | None] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     results: Results = field(default_factory=dict)
+    unscheduled_index: int = 0
 
     def __post_init__(self) -> None:
         for name in ("positions", "shots", "echoes", "missed"):
             Any.__setattr__(self, name, tuple(getattr(self, name)))
         records = self.records
         if not records:
-            raise ValueError(f"set {self.set_index} has no record; a set without one has rows but no file")
+            raise ValueError(f"set {self.set_key} has no record; a set without one has rows but no file")
         names = [position.position for position in self.positions]
         if len(set(names)) != len(names):
-            raise ValueError(f"set {self.set_index} names a position twice: {names}")
+            raise ValueError(f"set {self.set_key} names a position twice: {names}")
         for record in records:
-            if record.key.set_index != self.set_index or record.key.position not in names:
+            if record.key.set_key != self.set_key or record.key.position not in names:
                 raise ValueError(
-                    f"shot {record.sequence} is of set {record.key.set_index}, {record.key.position!r}; "
-                    f"this is set {self.set_index} of positions {names}"
+                    f"shot {record.sequence} is of set {record.key.set_key}, {record.key.position!r}; "
+                    f"this is set {self.set_key} of positions {names}"
                 )
         if len({record.sequence for record in records}) != len(records):
-            raise ValueError(f"set {self.set_index} has a sequence twice; each record needs its own")
+            raise ValueError(f"set {self.set_key} has a sequence twice; each record needs its own")
+
+    @property
+    def set_key(self) -> SetKey:
+        """Key of the set."""
+        return SetKey(self.set_index, self.unscheduled_index)
 
     @property
     def records(self) -> list[Shot | PulseEchoRecord]:
@@ -142,7 +146,7 @@ class SetRecord:
 class SetTables:
     """Tables of a set's file, each as rows: of its records (``shots``), and the results of each kind."""
 
-    set_index: int
+    set_key: SetKey
     shots: Sequence[Mapping[str, Any]]
     results: Mapping[str, Sequence[Mapping[str, Any]]]
 
@@ -161,7 +165,7 @@ class OpenSet:
         False: the frame with due time and ``retired`` is corrupt; the time of the first shot replaces it.
     """
 
-    set_index: int
+    set_key: SetKey
     due_utc_ns: int
     started_utc_ns: int
     last_utc_ns: int
@@ -188,7 +192,7 @@ class JournalDamage:
     """
 
     files: Mapping[str, str] = field(default_factory=dict)
-    sets: frozenset[int] = frozenset()
+    sets: frozenset[SetKey] = frozenset()
     next_sequence: int = 0
     n_lost: int = 0
 
@@ -244,15 +248,15 @@ def waveform_crc32(waveform: Waveform) -> int:
     return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), order="C", copy=False).data)
 
 
-def set_reference(set_index: int, due_utc_ns: int) -> SetReference:
+def set_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:
     """Return the reference of a set; references sort by time.
 
     That of an unscheduled set has the index of the scheduled one before it, and ends with its own number.
     """
     due = datetime.fromtimestamp(due_utc_ns // NS_PER_S, tz=UTC)
-    planned, unscheduled = in_order(set_index)
-    number = f"_{unscheduled:03d}" if unscheduled else ""
-    return SetReference(f"{SETS_FOLDER}/set_{planned:06d}_{due:%Y%m%dT%H%M%SZ}{number}.h5")
+    set_index, unscheduled_index = set_key
+    number = f"_{unscheduled_index:03d}" if unscheduled_index else ""
+    return SetReference(f"{SETS_FOLDER}/set_{set_index:06d}_{due:%Y%m%dT%H%M%SZ}{number}.h5")
 
 
 def due_utc_ns(reference: SetReference) -> int:
@@ -262,27 +266,17 @@ def due_utc_ns(reference: SetReference) -> int:
     return parse_utc(match[2])
 
 
-def set_indices(names: Iterable[str]) -> set[int]:
-    """Return the indices of the sets with these file names."""
-    return {*map(_index_of, _LINES.finditer("\n".join(names)))}
+def set_keys(names: Iterable[str]) -> set[SetKey]:
+    """Return the keys of the sets with these file names."""
+    return {*map(_key_of, _LINES.finditer("\n".join(names)))}
 
 
-def referenced_sets(names: Iterable[str]) -> dict[int, SetReference]:
-    """Return the reference of each complete set by index, from file names, in the order of the sets."""
-    return ordered(
-        {
-            _index_of(match): SetReference(f"{SETS_FOLDER}/{match[0]}")
-            for match in map(_NAME.fullmatch, names)
-            if match
-        }
-    )
+def referenced_sets(names: Iterable[str]) -> dict[SetKey, SetReference]:
+    """Return the reference of each complete set by key, from file names, in the order of the sets."""
+    matches = (match for match in map(_NAME.fullmatch, names) if match)
+    return dict(sorted((_key_of(match), SetReference(f"{SETS_FOLDER}/{match[0]}")) for match in matches))
 
 
-def _index_of(match: re.Match[str]) -> int:
-    """Return the index of a set; in file names of earlier versions that of any set is the first number."""
-    return int(match[1]) + PLANNED_SETS * int(match[3] or 0)
-
-
-def ordered(sets: Mapping[int, T]) -> dict[int, T]:
-    """Sort values by set index, in the order of the sets."""
-    return dict(sorted(sets.items(), key=lambda item: in_order(item[0])))
+def _key_of(match: re.Match[str]) -> SetKey:
+    """Return the key of a set; in file names of earlier versions the first number may be that of any set."""
+    return SetKey(int(match[1]), int(match[3])) if match[3] else SetKey.of_number(int(match[1]))

@@ -31,7 +31,7 @@ from daq_service.archive.records import (
     waveform_crc32,
 )
 from daq_service.shared_file import patiently, remove_quietly, sync_folder
-from hardware_drivers.measurement import PulseEchoRecord, Shot
+from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot
 
 _REMEDY = {
     errno.ENOSPC: "free some space",
@@ -80,23 +80,23 @@ class FolderArchive(FolderSetReader):
         for index in [index for index, item in self._journal_writer.left.items() if not item.is_whole]:
             if index in self._files():
                 self._journal_writer.settle(index)
-        self._sequences_of: dict[int, set[int]] = {}
-        self._end_frames: dict[int, Buffers] = {}
+        self._sequences_of: dict[SetKey, set[int]] = {}
+        self._end_frames: dict[SetKey, Buffers] = {}
         # An ended set that is incomplete was not acknowledged, or is corrupt: it may be measured again.
         self._stored = {index: file for index, file in self.sets().items() if index not in self.open_sets()}
 
     def begin_set(
-        self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+        self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
     ) -> None:
         """Record the start of a set; durable with the next `sync`."""
-        self._sequences_of[set_index] = set()
+        self._sequences_of[set_key] = set()
         self._journal_writer.begin(
-            set_index, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired
+            set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired
         )
 
     def append(self, item: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
         """Add a record or a missed record to a started set; acknowledged by `sync`."""
-        sequences = self._sequences_of.get(item.key.set_index)
+        sequences = self._sequences_of.get(item.key.set_key)
         if sequences is None:
             return
         if isinstance(item, MissedRecord):
@@ -113,23 +113,23 @@ class FolderArchive(FolderSetReader):
         except OSError as error:
             raise _write_error(self.folder / JOURNAL_FOLDER, error) from error
 
-    def open_sets(self) -> dict[int, OpenSet]:
-        """Return the unfinished sets of an earlier process by index."""
+    def open_sets(self) -> dict[SetKey, OpenSet]:
+        """Return the unfinished sets of an earlier process by key."""
         opened = {
             index: item.opened() for index, item in self._journal_writer.left.items() if not item.is_whole
         }
         return {index: item for index, item in opened.items() if item is not None}
 
-    def to_compact(self) -> list[int]:
+    def to_compact(self) -> list[SetKey]:
         """Return the complete sets that an earlier process left in the journal."""
         return [index for index, item in self._journal_writer.left.items() if item.is_whole]
 
     def resume_set(self, opened: OpenSet) -> None:
         """Continue an open set: new records are added to the durable ones."""
-        self._sequences_of[opened.set_index] = {record.sequence for record in opened.records}
+        self._sequences_of[opened.set_key] = {record.sequence for record in opened.records}
         if not opened.is_dated:
             self._journal_writer.begin(
-                opened.set_index,
+                opened.set_key,
                 due_utc_ns=opened.due_utc_ns,
                 started_utc_ns=opened.started_utc_ns,
                 retired=opened.retired,
@@ -138,19 +138,19 @@ class FolderArchive(FolderSetReader):
     def store_set(self, record: SetRecord) -> StoredSet:
         """Make a set durable; on return every record of it is acknowledged."""
         start = time.perf_counter()
-        reference = set_reference(record.set_index, record.due_utc_ns)
-        stored = self._stored.get(record.set_index)
+        reference = set_reference(record.set_key, record.due_utc_ns)
+        stored = self._stored.get(record.set_key)
         if stored is not None:
             # The same set again, after an error that occurred when it was already stored.
             stored_record = replace(self.read_set(stored), results=record.results)
             if stored != reference or build_image(stored_record) != build_image(record):
-                raise self._conflict(record.set_index, stored)
+                raise self._conflict(record.set_key, stored)
         else:
             self._end(record)
         added = time.perf_counter()
         self.sync()
-        self._sequences_of.pop(record.set_index, None)
-        self._stored[record.set_index] = reference
+        self._sequences_of.pop(record.set_key, None)
+        self._stored[record.set_key] = reference
         return StoredSet(
             file=reference,
             n_bytes=sum(item.waveform.counts.nbytes for item in record.records),
@@ -161,24 +161,24 @@ class FolderArchive(FolderSetReader):
     def _end(self, record: SetRecord) -> None:
         """Add the missing records of a set to the journal, and its end, once."""
         frame = end_frame(record)
-        if self._end_frames.get(record.set_index) == frame:
+        if self._end_frames.get(record.set_key) == frame:
             return
-        sequences = self._sequences_of.setdefault(record.set_index, set())
+        sequences = self._sequences_of.setdefault(record.set_key, set())
         for item in record.records:
             if item.sequence not in sequences:
                 self._journal_writer.append(item)
                 sequences.add(item.sequence)
-        self._journal_writer.end(record.set_index, frame)
-        self._end_frames = {record.set_index: frame}
+        self._journal_writer.end(record.set_key, frame)
+        self._end_frames = {record.set_key: frame}
 
-    def places(self, set_index: int) -> Places:
+    def places(self, set_key: SetKey) -> Places:
         """Return the byte ranges of a set's durable frames in the journal."""
-        return self._journal_writer.places(set_index)
+        return self._journal_writer.places(set_key)
 
-    def settle(self, set_index: int) -> None:
+    def settle(self, set_key: SetKey) -> None:
         """Remove a set from the journal: it has its own file, or rows without a record."""
-        self._sequences_of.pop(set_index, None)
-        self._journal_writer.settle(set_index)
+        self._sequences_of.pop(set_key, None)
+        self._journal_writer.settle(set_key)
 
     def close(self) -> None:
         """Close the journal; nothing of it is lost."""
@@ -191,14 +191,14 @@ class FolderArchive(FolderSetReader):
             if source.exists():
                 move_aside(self.folder, reference)
             else:
-                self._journal_writer.set_aside(self._index_of(reference), source.name)
+                self._journal_writer.set_aside(self._key_of(reference), source.name)
         except OSError as error:
             raise _write_error(source, error) from error
         self._stored = self.sets()
 
-    def _index_of(self, reference: SetReference) -> int:
-        """Return the set index of a reference."""
-        return next(index for index, file in self.sets().items() if file == reference)
+    def _key_of(self, reference: SetReference) -> SetKey:
+        """Return the key of a reference."""
+        return next(key for key, file in self.sets().items() if file == reference)
 
     def quarantined(self) -> list[str]:
         """Name all files in the quarantine."""
@@ -212,10 +212,10 @@ class FolderArchive(FolderSetReader):
                 f"{self._sets_folder} is not the folder of this test any more; bring its own one back"
             )
 
-    def _conflict(self, set_index: int, stored: SetReference) -> ConflictingSetError:
+    def _conflict(self, set_key: SetKey, stored: SetReference) -> ConflictingSetError:
         """Return the error for a set that is stored with other content."""
         return ConflictingSetError(
-            f"set {set_index} is stored already in {self.folder / stored} and differs; nothing stored is "
+            f"set {set_key} is stored already in {self.folder / stored} and differs; nothing stored is "
             "overwritten: take that file over with read_set, or move it out of the folder"
         )
 

@@ -16,7 +16,7 @@ from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AssessmentRow, EventRow, SetRow
 from daq_service.settings.tree import ScheduleSettings
-from hardware_drivers.measurement import MOST_EXTRA, in_order
+from hardware_drivers.measurement import MOST_UNSCHEDULED
 from hardware_drivers.nanoseconds import NS_PER_S
 
 BUDGET_H = 24.0
@@ -44,6 +44,7 @@ class Confirmation:
         due = self.due
         return {
             "confirmation_set_index": due.set_index,
+            "confirmation_unscheduled_index": due.unscheduled_index,
             "due_h": due.due_h,
             "due_utc_ns": due.due_utc_ns,
             "reason": self.reason,
@@ -55,6 +56,7 @@ def confirmation_from_payload(position: str, payload: Mapping[str, Any]) -> Conf
     """Read a request from the payload of a position's event `CONFIRMATION_ASKED`."""
     due = DueSet(
         set_index=payload["confirmation_set_index"],
+        unscheduled_index=payload["confirmation_unscheduled_index"],
         due_h=payload["due_h"],
         due_utc_ns=payload["due_utc_ns"],
         position=position,
@@ -113,9 +115,11 @@ def longest_set_ns(schedule: ScheduleSettings, restrikes: int, read_timeout_s: f
 
 def next_unscheduled_number(requests: Iterable[Confirmation], planned_set: int) -> int | None:
     """Return the number of the next unscheduled set after a scheduled one; None if there are too many."""
-    numbers = (in_order(request.due.set_index) for request in requests)
-    number = 1 + max((extra for scheduled, extra in numbers if scheduled == planned_set), default=0)
-    return number if number <= MOST_EXTRA else None
+    numbers = (
+        due.unscheduled_index for due in (request.due for request in requests) if due.set_index == planned_set
+    )
+    number = 1 + max(numbers, default=0)
+    return number if number <= MOST_UNSCHEDULED else None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -131,6 +135,7 @@ class ConfirmationResult:
     """
 
     set_index: int
+    unscheduled_index: int
     utc_ns: int
     due_h: float
     confirms: bool | None
@@ -138,16 +143,11 @@ class ConfirmationResult:
     limit: float | None = None
     reason: str | None = None
 
-    @property
-    def after_set(self) -> int:
-        """Return the index of the scheduled set that it follows."""
-        return in_order(self.set_index)[0]
-
 
 def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) -> ConfirmationResult:
     """Summarize the rows of a confirmation set; ``assessment`` is None if it has no record."""
     facts: dict[str, Any] = {
-        "set_index": its_set.set_index,
+        **its_set.set_key._asdict(),
         "utc_ns": its_set.due_utc_ns,
         "due_h": its_set.due_h,
         "confirms": None if assessment is None else assessment.confirms,
@@ -170,14 +170,11 @@ def read_confirmations(catalogue: Catalogue) -> list[Confirmation]:
     ]
 
 
-def newest_confirmation(
-    catalogue: Catalogue, position: str, set_index: int | None = None
-) -> ConfirmationResult | None:
-    """Read the newest confirmation set of a position, of all or after a scheduled set; None if none."""
-    rows = catalogue.rows(SetRow, position=position, purpose="confirmation")
-    following = [row for row in rows if set_index is None or in_order(row.set_index)[0] == set_index]
-    if not following:
+def newest_confirmation(catalogue: Catalogue, position: str) -> ConfirmationResult | None:
+    """Read the newest confirmation set of a position; None if none."""
+    rows = catalogue.last_rows(SetRow, position, 1, purpose="confirmation")
+    if not rows:
         return None
-    newest = max(following, key=lambda row: in_order(row.set_index))
-    assessments = catalogue.rows(AssessmentRow, position=position, set_index=newest.set_index)
+    newest = rows[0]
+    assessments = catalogue.rows(AssessmentRow, position=position, **newest.set_key._asdict())
     return summarize_confirmation(newest, assessments[0] if assessments else None)

@@ -24,6 +24,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import SetKey
 
 if TYPE_CHECKING:
     from daq_service.assessment.pulse_echo import PulseEchoAssessor
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
 
 A = TypeVar("A", bound=Assessor)
 
-NEVER = 2**63 - 1
+NEVER = SetKey(2**63 - 1)
 STATE_FORMAT = 1
 """Version of the stored states; a state of another version is computed from the stored sets."""
 
@@ -91,8 +92,8 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
     from daq_service.assessment.follow_rows import follow
 
     position = assessor.position
-    results: dict[int, FeatureRow | ThicknessRow] = {
-        row.set_index: row
+    results: dict[SetKey, FeatureRow | ThicknessRow] = {
+        row.set_key: row
         for rows in (
             catalogue.rows(FeatureRow, position=position, scope="set", purpose="any"),
             catalogue.rows(ThicknessRow, position=position),
@@ -101,14 +102,14 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
     }
     enabled_at = _first_sets_after_enabling(position, catalogue)
     for row in sorted(catalogue.rows(SetRow, position=position, purpose="any"), key=lambda row: row.id or 0):
-        if row.set_index in enabled_at:
+        if row.set_key in enabled_at:
             assessor.enable()
         if is_assessed(row):
             follow(
                 assessor,
                 StoredResult(
                     its_set=row,
-                    result=results.get(row.set_index),
+                    result=results.get(row.set_key),
                     flags=_accepted_flags(catalogue, row),
                     waveform=partial(first_waveform, archive, row),
                 ),
@@ -125,7 +126,7 @@ def is_assessed(row: SetRow) -> bool:
 def first_waveform(archive: SetReader, row: SetRow) -> Waveform:
     """Read the record of the first shot of a set."""
     if row.file is None:
-        raise SetNotFoundError(f"set {row.set_index} has a reading of {row.position!r} and no file")
+        raise SetNotFoundError(f"set {row.set_key} has a reading of {row.position!r} and no file")
     return archive.read_waveform(SetReference(row.file), row.position, 0)
 
 
@@ -133,16 +134,15 @@ def _accepted_flags(catalogue: Catalogue, row: SetRow) -> list[list[str]]:
     """Read the flags of the accepted shots of a set; a valid shot has none that a rule counts."""
     if row.n_valid == row.n_taken:
         return [[]] * row.n_taken
-    shots = catalogue.rows(ShotRow, position=row.position, set_index=row.set_index)
+    shots = catalogue.rows(ShotRow, position=row.position, **row.set_key._asdict())
     return [shot.flags for shot in shots if shot.outcome == ACCEPTED]
 
 
-def _first_sets_after_enabling(position: str, catalogue: Catalogue) -> set[int]:
+def _first_sets_after_enabling(position: str, catalogue: Catalogue) -> set[SetKey]:
     """Return the sets that were committed first after a transducer was enabled; `NEVER`: none was."""
-    found = set()
+    found = set[SetKey]()
     for event in catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position=position):
         if event.payload["kind"] in RETIRING:
             first = catalogue.rows(EventRow, topic="sets", position=position, after_id=event.id, limit=1)
-            index = first[0].set_index if first else None
-            found.add(NEVER if index is None else index)
+            found.add((first[0].set_key if first else None) or NEVER)
     return found

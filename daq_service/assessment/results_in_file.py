@@ -10,29 +10,27 @@ from daq_service.archive import Results
 from daq_service.archive.layout import RESULTS
 from daq_service.catalogue import Catalogue, RecorderCatalogue
 from daq_service.catalogue.rows import MEASURED, FeatureRow, SetRow, ShotRow, ThicknessRow
+from hardware_drivers.measurement import SetKey
 
 MADE_BY = "extractor_version"
 
 
-def results_in(catalogue: Catalogue, set_index: int) -> Results:
+def results_in(catalogue: Catalogue, set_key: SetKey) -> Results:
     """Read the results of a set from the catalogue, as columns of each table."""
-    positions = [row.position for row in catalogue.rows(SetRow, set_index=set_index)]
+    of_set = set_key._asdict()
+    positions = [row.position for row in catalogue.rows(SetRow, **of_set)]
     return results_of(
-        catalogue.rows(FeatureRow, set_index=set_index),
-        catalogue.rows(ThicknessRow, set_index=set_index),
-        [
-            row
-            for position in positions
-            for row in catalogue.rows(ShotRow, position=position, set_index=set_index)
-        ],
+        catalogue.rows(FeatureRow, **of_set),
+        catalogue.rows(ThicknessRow, **of_set),
+        [row for position in positions for row in catalogue.rows(ShotRow, position=position, **of_set)],
     )
 
 
-def newest_results(catalogue: RecorderCatalogue, set_index: int) -> Results:
+def newest_results(catalogue: RecorderCatalogue, set_key: SetKey) -> Results:
     """Return the results of a set; those that this process stored last are not read again."""
     newest = catalogue.newest
-    if all(row.set_index != set_index for row in newest.sets):
-        return results_in(catalogue, set_index)
+    if all(row.set_key != set_key for row in newest.sets):
+        return results_in(catalogue, set_key)
     return results_of(newest.features, newest.thickness, newest.shots)
 
 

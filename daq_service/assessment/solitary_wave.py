@@ -166,7 +166,7 @@ class SolitaryWaveAssessor:
         assessment = assess_alone(set_of_shots, self.state.baseline, self.rules)
         vector, fitted = set_of_shots.vector(), self.state.baseline.fitted
         assessment = replace(assessment, cause=self.diagnose_unscheduled(set_of_shots))
-        row = self._assessment_row(due.set_index, due.due_h, assessment)
+        row = self._assessment_row(due.set_index, due.due_h, assessment, due.unscheduled_index)
         if vector is not None and fitted is not None:
             row = replace(row, confirms=confirms_change(self.state.assessed, fitted, vector))
         return replace(result, assessments=[row])
@@ -263,7 +263,9 @@ class SolitaryWaveAssessor:
             for healthy_set, distance in zip(state.healthy, distances, strict=True)
         ]
 
-    def _assessment_row(self, set_index: int, due_h: float, assessment: SetAssessment) -> AssessmentRow:
+    def _assessment_row(
+        self, set_index: int, due_h: float, assessment: SetAssessment, unscheduled_index: int = 0
+    ) -> AssessmentRow:
         baseline = self.state.baseline
         limits = {} if baseline is None else baseline.limits
         other_statistics = {
@@ -271,6 +273,7 @@ class SolitaryWaveAssessor:
         }
         return AssessmentRow(
             set_index=set_index,
+            unscheduled_index=unscheduled_index,
             position=self.position,
             due_h=due_h,
             baseline_id=None if baseline is None else self._baseline_id,
@@ -305,6 +308,7 @@ def _feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> FeatureRow:
     return FeatureRow(
         id=None,
         set_index=due.set_index,
+        unscheduled_index=due.unscheduled_index,
         position=shot.key.position,
         shot_index=shot.key.shot_index,
         sequence=shot.sequence,
@@ -320,6 +324,7 @@ def _set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> FeatureRo
     return FeatureRow(
         id=None,
         set_index=due.set_index,
+        unscheduled_index=due.unscheduled_index,
         position=position,
         shot_index=None,
         sequence=None,

@@ -22,7 +22,7 @@ from daq_service.catalogue.rows import (
     ShotRow,
 )
 from daq_service.catalogue.writer import SetCommit, payload_of
-from hardware_drivers.measurement import PulseEchoRecord, Shot
+from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot
 
 
 def shot_row(
@@ -32,6 +32,7 @@ def shot_row(
     return ShotRow(
         sequence=measurement.sequence,
         set_index=measurement.key.set_index,
+        unscheduled_index=measurement.key.unscheduled_index,
         position=measurement.key.position,
         shot_index=measurement.key.shot_index,
         attempt=measurement.key.attempt,
@@ -67,7 +68,7 @@ class Transaction(SetCommit):
         self.thickness += position_result.thickness
         self.assessments += position_result.assessments
         add_event = partial(
-            self._add_event, moment=moment, position=its_set.position, set_index=its_set.set_index
+            self._add_event, moment=moment, position=its_set.position, set_key=its_set.set_key
         )
         # A reader joins the row, so the event holds no copy; that of a collecting baseline is replaced later.
         add_event("sets", f"set_{its_set.state}", {})
@@ -90,7 +91,7 @@ class Transaction(SetCommit):
     def add_environment(self, row: EnvironmentRow, moment: Moment) -> None:
         """Add the readings of supply and climate probe around a set."""
         self.environment.append(row)
-        self._add_event("environment", "environment_read", {}, moment, set_index=row.set_index)
+        self._add_event("environment", "environment_read", {}, moment, set_key=SetKey(row.set_index))
 
     def add_event(
         self,
@@ -102,7 +103,7 @@ class Transaction(SetCommit):
         topic: str = "service",
     ) -> None:
         """Add an event of the service itself, or of its computer."""
-        self._add_event(topic, kind, payload, moment, position=position, set_index=moment.set_index)
+        self._add_event(topic, kind, payload, moment, position=position, set_key=moment.set_key)
 
     def add_alarm(self, change: Change, moment: Moment) -> None:
         """Add a change of an alarm; its event contains the id that the catalogue assigns."""
@@ -115,7 +116,7 @@ class Transaction(SetCommit):
             author_of_change | payload_of(change.row, last="id"),
             moment,
             position=change.row.position,
-            set_index=moment.set_index,
+            set_key=moment.set_key,
         )
 
     def annotate(self, row: AnnotationRow, kind: str, moment: Moment) -> None:
@@ -137,7 +138,7 @@ class Transaction(SetCommit):
         moment: Moment,
         *,
         position: str | None = None,
-        set_index: int | None = None,
+        set_key: SetKey | None = None,
     ) -> None:
         self.events.append(
             EventRow(
@@ -145,7 +146,8 @@ class Transaction(SetCommit):
                 topic=topic,
                 kind=kind,
                 position=position,
-                set_index=set_index,
+                set_index=None if set_key is None else set_key.set_index,
+                unscheduled_index=0 if set_key is None else set_key.unscheduled_index,
                 payload=dict(payload),
             )
         )

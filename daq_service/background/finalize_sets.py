@@ -22,6 +22,7 @@ from daq_service.archive.finalize_set import compact_set
 from daq_service.background.task import BackgroundTask
 from daq_service.errors import StorageError
 from daq_service.processes.worker import one_worker
+from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
 
@@ -57,38 +58,38 @@ class SetFinalizer(BackgroundTask):
         *,
         start: Callable[[], Executor] = one_worker,
         mono_s: Callable[[], float] = time.monotonic,
-        results: Callable[[int], Results] = lambda set_index: {},
-        filed: Callable[[int, str, str], None] = lambda set_index, file, sha256: None,
-        also: Callable[[int, Results], Callable[[SetRecord], str] | None] = lambda set_index, results: None,
+        results: Callable[[SetKey], Results] = lambda set_key: {},
+        filed: Callable[[SetKey, str, str], None] = lambda set_key, file, sha256: None,
+        also: Callable[[SetKey, Results], Callable[[SetRecord], str] | None] = lambda set_key, results: None,
     ) -> None:
         self._folder, self._archive = folder, archive
         self._start, self._mono_s, self._results, self._filed = start, mono_s, results, filed
         self._also = also
         self._executor: Executor | None = None
-        self._running: dict[int, Future[tuple[SetReference, str, str]]] = {}
-        self._again_s: dict[int, float] = {}
+        self._running: dict[SetKey, Future[tuple[SetReference, str, str]]] = {}
+        self._again_s: dict[SetKey, float] = {}
         self._refusal = self._last_message = ""
         self.damaged: dict[str, str] = {}
 
-    def after_set(self, set_index: int) -> None:
+    def after_set(self, set_key: SetKey) -> None:
         """Submit a complete set of the journal to the worker, which writes its file."""
         if self._executor is None:
             self._executor = self._start()
         try:
-            results = self._results(set_index)
-            self._running[set_index] = self._executor.submit(
+            results = self._results(set_key)
+            self._running[set_key] = self._executor.submit(
                 compact_set,
                 self._folder,
-                set_index,
-                self._archive.places(set_index),
+                set_key,
+                self._archive.places(set_key),
                 results,
-                self._also(set_index, results),
+                self._also(set_key, results),
             )
         except BrokenExecutor:
             self._executor = None
-            self._again_s[set_index] = self._mono_s()
+            self._again_s[set_key] = self._mono_s()
         except StorageError as error:
-            self._put_off(set_index, error)
+            self._put_off(set_key, error)
 
     def submit(self, work: Callable[..., T], *arguments: Any) -> Future[T] | None:
         """Submit other work to the worker; None if it has sets to write, or has just died."""
@@ -104,39 +105,39 @@ class SetFinalizer(BackgroundTask):
 
     def run_for(self, seconds: float = 0.0) -> None:
         """Process finished files and retry failed ones; called while no set is due."""
-        for set_index in [index for index, future in self._running.items() if future.done()]:
-            self._take_back(set_index, self._running.pop(set_index))
+        for set_key in [key for key, future in self._running.items() if future.done()]:
+            self._take_back(set_key, self._running.pop(set_key))
         now_s = self._mono_s()
-        for set_index in [index for index, due_s in self._again_s.items() if due_s <= now_s]:
-            del self._again_s[set_index]
-            self.after_set(set_index)
+        for set_key in [key for key, due_s in self._again_s.items() if due_s <= now_s]:
+            del self._again_s[set_key]
+            self.after_set(set_key)
 
-    def _take_back(self, set_index: int, future: Future[tuple[SetReference, str, str]]) -> None:
+    def _take_back(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
         try:
             file, sha256, message = future.result()
-            self._filed(set_index, file, sha256)
+            self._filed(set_key, file, sha256)
             if message and message != self._last_message:
                 log.warning("%s", message)
             self._last_message = message
         except SetNotFoundError:
-            log.debug("set %d is not in the journal: it has its file already", set_index)
+            log.debug("set %s is not in the journal: it has its file already", set_key)
         except CorruptArchiveError as error:
             # No waiting mends that: the next start looks again.
-            log.error("set %d gets no file and stays in the journal: %s", set_index, error)
-            self.damaged[f"set {set_index} in the journal"] = f"{error}"
+            log.error("set %s gets no file and stays in the journal: %s", set_key, error)
+            self.damaged[f"set {set_key} in the journal"] = f"{error}"
             return
         except Exception as error:  # noqa: BLE001 - whatever a worker meets, the line goes on
             if isinstance(error, BrokenExecutor):
                 self._executor = None
-            self._put_off(set_index, error)
+            self._put_off(set_key, error)
             return
-        self._archive.settle(set_index)
+        self._archive.settle(set_key)
         self._refusal = self._refusal if self._again_s else ""
 
-    def _put_off(self, set_index: int, error: Exception) -> None:
-        log.error("set %d has no file yet and stays in the journal: %s", set_index, error)
+    def _put_off(self, set_key: SetKey, error: Exception) -> None:
+        log.error("set %s has no file yet and stays in the journal: %s", set_key, error)
         self._refusal = f"{error}"
-        self._again_s[set_index] = self._mono_s() + AGAIN_AFTER_S
+        self._again_s[set_key] = self._mono_s() + AGAIN_AFTER_S
 
     @property
     def trouble(self) -> str:

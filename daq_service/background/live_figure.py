@@ -73,7 +73,7 @@ class LiveFigure(BackgroundTask):
             "position": key.position,
             "method": measurement.method,
             "sequence": measurement.sequence,
-            "set_index": key.set_index,
+            **key.set_key._asdict(),
             "shot_index": key.shot_index,
             "utc_ns": measurement.stamp.utc_ns,
             "due_h": due_h,

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Protocol
 
+from hardware_drivers.measurement import SetKey
+
 
 class BackgroundTask(Protocol):
     """Work that the recorder runs in short pieces while no set is due."""
@@ -18,7 +20,7 @@ class BackgroundTask(Protocol):
         """
         return
 
-    def after_set(self, set_index: int) -> None:
+    def after_set(self, set_key: SetKey) -> None:
         """Note that the rows of a set with records are stored."""
         return
 

@@ -19,7 +19,7 @@ from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.task import BackgroundTask
 from daq_service.background.verification import QUIET_S
 from daq_service.errors import StorageError
-from hardware_drivers.measurement import PLANNED_SETS
+from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
 
@@ -31,7 +31,7 @@ def add_record_to_tiles(
     folder: Path, experiment: str, anchors: Mapping[int, float], record: SetRecord
 ) -> str:
     """Add the records of a set to the tiles; return an error message, empty on success."""
-    if record.set_index >= PLANNED_SETS:
+    if record.unscheduled_index:
         return ""
     try:
         write_tiles_of_set(folder, experiment, record, anchors, complete_blocks_only=True)
@@ -54,8 +54,8 @@ def add_files_to_tiles(folder: Path, experiment: str, sets: Sequence[tuple[str, 
 def rebuild_tiles(
     folder: Path,
     experiment: str,
-    files: Mapping[int, str],
-    results: Callable[[int], Results],
+    files: Mapping[SetKey, str],
+    results: Callable[[SetKey], Results],
     progress: Callable[[int, int], None],
 ) -> list[str]:
     """Rebuild the tiles of a folder and return the error messages."""
@@ -64,16 +64,16 @@ def rebuild_tiles(
     except OSError as error:
         return [f"the old tiles stay: {error}"]
     messages = []
-    for number, (set_index, file) in enumerate(_scheduled_only(files).items()):
-        if message := add_files_to_tiles(folder, experiment, [(file, results(set_index))]):
+    for number, (set_key, file) in enumerate(_scheduled_only(files).items()):
+        if message := add_files_to_tiles(folder, experiment, [(file, results(set_key))]):
             messages.append(f"{file}: {message}")
         progress(number + 1, len(files))
     return messages
 
 
-def _scheduled_only(files: Mapping[int, str]) -> dict[int, str]:
+def _scheduled_only(files: Mapping[SetKey, str]) -> dict[SetKey, str]:
     """Return the files of the scheduled sets, because the waterfall shows no others."""
-    return {index: file for index, file in files.items() if index < PLANNED_SETS}
+    return {key: file for key, file in files.items() if not key.unscheduled_index}
 
 
 class TileMaker(BackgroundTask):
@@ -84,7 +84,7 @@ class TileMaker(BackgroundTask):
     compaction
         Whose worker does it, when it has no files to make.
     files, results
-        The files of all sets by index; what was computed of one.
+        The files of all sets by key; what was computed of one.
     has_room
         Whether the volume has room for a cache.
     """
@@ -94,15 +94,15 @@ class TileMaker(BackgroundTask):
         folder: Path,
         experiment: str,
         compaction: SetFinalizer,
-        files: Callable[[], Mapping[int, str]],
-        results: Callable[[int], Results],
+        files: Callable[[], Mapping[SetKey, str]],
+        results: Callable[[SetKey], Results],
         *,
         has_room: Callable[[], bool] = lambda: True,
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
         self._folder, self._experiment, self._compaction = folder, experiment, compaction
         self._files, self._results, self._has_room, self._mono_s = files, results, has_room, mono_s
-        self._round: list[tuple[int, str]] = []
+        self._round: list[tuple[SetKey, str]] = []
         self._running: Future[str] | None = None
         self._next_s = mono_s()
         self._last_message = ""
@@ -119,16 +119,16 @@ class TileMaker(BackgroundTask):
             self._next_s = self._mono_s() + EVERY_S
             self._submit(self._next_sets_of_round())
 
-    def _next_sets_of_round(self) -> list[tuple[int, str]]:
+    def _next_sets_of_round(self) -> list[tuple[SetKey, str]]:
         """Return the next sets to check in this round, the newest first."""
         if not self._round:
             self._round = sorted(_scheduled_only(self._files()).items())
         next_sets, self._round = self._round[-SETS_A_TURN:], self._round[:-SETS_A_TURN]
         return next_sets
 
-    def _submit(self, sets: Sequence[tuple[int, str]]) -> None:
+    def _submit(self, sets: Sequence[tuple[SetKey, str]]) -> None:
         try:
-            files_and_results = [(file, self._results(set_index)) for set_index, file in sets]
+            files_and_results = [(file, self._results(set_key)) for set_key, file in sets]
         except (StorageError, OSError) as error:
             log.warning("no tiles of the waterfall now: %s", error)
             return

@@ -10,11 +10,12 @@ from pathlib import Path
 from types import MappingProxyType
 
 from daq_service.archive import SetNotFoundError
-from daq_service.archive.records import SETS_FOLDER, referenced_sets, set_indices
+from daq_service.archive.records import SETS_FOLDER, referenced_sets, set_keys
 from daq_service.archive.verification import damage_of
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.task import BackgroundTask
 from daq_service.errors import StorageError
+from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
 
@@ -38,7 +39,7 @@ class IdleVerification(BackgroundTask):
     sha256_of
         Returns the SHA-256 of a set's file as it was written; None if it was not stored.
     note
-        Called with set index, file and SHA-256 of an intact file without a stored SHA-256.
+        Called with key, file and SHA-256 of an intact file without a stored SHA-256.
 
     Attributes
     ----------
@@ -53,8 +54,8 @@ class IdleVerification(BackgroundTask):
         folder: Path,
         compaction: SetFinalizer,
         lost: Callable[[], Mapping[str, str]],
-        sha256_of: Callable[[int], str | None],
-        note: Callable[[int, str, str], None] = lambda set_index, file, sha256: None,
+        sha256_of: Callable[[SetKey], str | None],
+        note: Callable[[SetKey, str, str], None] = lambda set_key, file, sha256: None,
         *,
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
@@ -99,7 +100,7 @@ class IdleVerification(BackgroundTask):
             if self._to_come:
                 file = self._to_come[0]
                 try:
-                    sha256 = self._sha256_of(_index_of(file))
+                    sha256 = self._sha256_of(_key_of(file))
                 except _TROUBLE as error:
                     log.warning("%s is checked later: %s", file, error)
                     return
@@ -112,7 +113,7 @@ class IdleVerification(BackgroundTask):
         try:
             fault, sha256 = future.result()
             if not (fault or is_noted):
-                self._note(_index_of(file), file, sha256)
+                self._note(_key_of(file), file, sha256)
         except SetNotFoundError:
             fault = "is missing"
         except _TROUBLE as error:
@@ -128,6 +129,6 @@ class IdleVerification(BackgroundTask):
             self.damaged.pop(file, None)
 
 
-def _index_of(file: str) -> int:
-    (set_index,) = set_indices([Path(file).name])
-    return set_index
+def _key_of(file: str) -> SetKey:
+    (set_key,) = set_keys([Path(file).name])
+    return set_key

@@ -1,4 +1,4 @@
-"""Read rows with the names of schema 0014 and earlier: columns, nested keys, kinds and states.
+"""Read rows of earlier schemas: columns, nested keys, kinds and states to 0013, set numbers to 0015.
 
 The migration stores them with the current names; the history keeps its lines, which are converted as they
 are read. No current name is also an earlier one of the same table, so current rows stay as they are.
@@ -12,6 +12,7 @@ from types import MappingProxyType
 from typing import Any
 
 from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS
+from hardware_drivers.measurement import SetKey
 
 COMMAND_KINDS: Mapping[str, str] = MappingProxyType(
     {
@@ -86,6 +87,13 @@ _VALUES: Mapping[tuple[str, str], Mapping[str, str]] = {
     },
 }
 _NESTED = ("baseline_quality", "evidence", "confirmation")
+SET_COLUMNS: Mapping[str, str] = MappingProxyType(
+    {
+        name: name.replace("set_index", "unscheduled_index")
+        for name in ("set_index", "raised_set_index", "confirmation_set_index")
+    }
+)
+"""Columns and keys that identified any set by one number, and the second part of the key that replaces it."""
 
 
 def derived_uuid(configuration_hash: str, epoch_utc_ns: int) -> str:
@@ -97,11 +105,15 @@ def current_row(table: str, row: Mapping[str, Any]) -> dict[str, Any]:
     """Return a row, or a nested value, with current names."""
     keys = _KEYS.get(table, {})
     current = {keys.get(name, name): value for name, value in row.items()}
-    for name, value in current.items():
+    for name, value in [*current.items()]:
         if name in _NESTED and isinstance(value, Mapping):
             current[name] = current_row(name, value)
         elif isinstance(value, str):
             current[name] = _VALUES.get((table, name), {}).get(value, value)
+        elif name in SET_COLUMNS and isinstance(value, int):
+            key = SetKey.of_number(value)
+            if key.unscheduled_index:
+                current |= {name: key.set_index, SET_COLUMNS[name]: key.unscheduled_index}
     if table == "experiment":
         current.setdefault("uuid", derived_uuid(row["configuration_hash"], row["epoch_utc_ns"]))
     elif table == "events" and "payload" in current:

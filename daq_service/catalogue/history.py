@@ -30,6 +30,7 @@ from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, SetR
 from daq_service.catalogue.writer import ANSWERS
 from daq_service.errors import StorageError
 from daq_service.shared_file import O_BINARY, patiently, sync_folder, write_all
+from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
 
@@ -174,7 +175,7 @@ class HistoryFollower:
         """Append new rows between sets (a `BackgroundTask`)."""
         self.follow()
 
-    def after_set(self, set_index: int) -> None:
+    def after_set(self, set_key: SetKey) -> None:
         """Do nothing: its rows come with the next piece of work."""
 
     def close(self) -> None:
@@ -264,7 +265,7 @@ class HistoryFollower:
 
     def _digests(self, first: int, last: int | None) -> dict[str, str]:
         """Return the SHA-256 of the files of a range of sets."""
-        rows = self._catalogue.rows(SetRow, first_set=first, last_set=last)
+        rows = self._catalogue.rows(SetRow, first_set=first, last_set=last, purpose="any")
         return {row.file: row.file_sha256 for row in rows if row.file and row.file_sha256}
 
     def _open_commands(self) -> list[CommandRow]:

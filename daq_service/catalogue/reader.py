@@ -44,7 +44,7 @@ from daq_service.catalogue.tables import (
     sets,
 )
 from daq_service.clock import boot_name, elapsed_ns
-from hardware_drivers.measurement import PLANNED_SETS
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import Method
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -63,8 +63,8 @@ ORDER_WITHIN_S = 60.0
 class Filters(TypedDict, total=False):
     """Conditions that select rows of a table; a missing or None condition selects all.
 
-      Only rows of scheduled sets are selected, unless a ``set_index`` or a ``purpose`` is given: charts,
-    trends and counts must not include a confirmation set.
+    Only rows of scheduled sets are selected, unless an ``unscheduled_index`` or a ``purpose`` is given:
+    charts, trends and counts must not include a confirmation set.
     ``active`` False: alarms back to normal, True: the others. ``scope``: features of sets, or of
     single shots. ``tried``: sets with a strike or a record. ``first_h <= due_h <= last_h`` (of annotations
     any of their hours, of alarms when they were raised), ``withdrawn`` annotations or the others,
@@ -73,6 +73,7 @@ class Filters(TypedDict, total=False):
 
     position: str | None
     set_index: int | None
+    unscheduled_index: int | None
     state: str | None
     priority: str | None
     states: Collection[str] | None
@@ -123,7 +124,7 @@ _CONDITIONS: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[bool]]] = {
         if purpose == "any"
         else in_plan(table)
         if purpose == "planned"
-        else table.c.set_index >= PLANNED_SETS
+        else table.c.unscheduled_index > sa.literal_column("0")  # literal, as in the index
     ),
 }
 """A filter that is not listed compares a column; ``after_id`` uses `_behind`."""
@@ -135,8 +136,8 @@ _HOURS_OF_UNSCHEDULED: Mapping[str, Callable[[sa.Table, Any], sa.ColumnElement[b
 
 
 def in_plan(table: sa.FromClause) -> sa.ColumnElement[bool]:
-    """Return the condition that selects rows of scheduled sets."""
-    return table.c.set_index < PLANNED_SETS
+    """Return the condition that selects rows of scheduled sets: of the environment every row."""
+    return table.c.unscheduled_index == 0 if "unscheduled_index" in table.c else sa.true()
 
 
 def set_at(table: sa.Table, hour: float, which: Literal["first", "last"]) -> sa.ScalarSelect[int]:
@@ -208,8 +209,8 @@ class Catalogue:
         """Return the rows of the last sets of a position (None: of all), in the order of the sets."""
         table = TABLES[kind]
         statement = filtered(sa.select(table), table, {**filters, "position": position})
-        newest_first = statement.order_by(None).order_by(table.c.set_index.desc()).limit(count)
-        return self._rows(kind, newest_first)[::-1]
+        newest_first = statement.order_by(None).order_by(*(column.desc() for column in _key_of(table)))
+        return self._rows(kind, newest_first.limit(count))[::-1]
 
     def newest_gaps(self, count: int) -> list[SetRow]:
         """Return the newest missed and the newest partial sets of each position, ``count`` of each."""
@@ -219,14 +220,15 @@ class Catalogue:
         """Return a row of the newest scheduled set with records; None before it."""
         return self._newest_row(SetRow, sets.c.file.is_not(None) & in_plan(sets))
 
-    def newest_files(self, n_rows: int) -> dict[int, str]:
-        """Return the files of the newest rows of sets, by set index in order."""
+    def newest_files(self, n_rows: int) -> dict[SetKey, str]:
+        """Return the files of the newest rows of sets, by key in order."""
         with self.reading() as connection:
-            return {row.set_index: row.file for row in connection.execute(_newest_files(n_rows))}
+            return _files_in(connection, _newest_files(n_rows))
 
     def n_stored(self, position: str, first_set: int, last_set: int) -> int:
-        """Count the sets of a position with records, between two indices (inclusive)."""
-        filtered_sets = (sets.c.position == position) & sets.c.set_index.between(first_set, last_set)
+        """Count the scheduled sets of a position with records, between two indices (inclusive)."""
+        in_range = in_plan(sets) & sets.c.set_index.between(first_set, last_set)
+        filtered_sets = (sets.c.position == position) & in_range
         with self.reading() as connection:
             return connection.execute(
                 sa.select(sa.func.count()).where(
@@ -325,26 +327,24 @@ class Catalogue:
             "active_alarms": n_alarms
         }
 
-    def files_but_of(self, indices: Collection[int]) -> dict[int, str]:
-        """Return the files of all sets but these by set index; uses an index."""
+    def files_but_of(self, known: Collection[SetKey]) -> dict[SetKey, str]:
+        """Return the files of all sets but these by key; uses an index."""
         positions = self.position_names()
+        scheduled = {set_index for set_index, unscheduled_index in known if not unscheduled_index}
         with self.reading() as connection:
-            unscheduled = connection.execute(_unscheduled_files())
-            files = {row.set_index: row.file for row in unscheduled if row.set_index not in indices}
+            unscheduled = _files_in(connection, _unscheduled_files())
+            files = {key: file for key, file in unscheduled.items() if key not in known}
             last = connection.execute(_last_set_index()).scalar()
-            remaining = sorted(set(range(0 if last is None else last + 1)) - set(indices))
+            remaining = sorted(set(range(0 if last is None else last + 1)) - scheduled)
             for start in range(0, len(remaining), _MAX_VALUES):
                 indices_of_step = remaining[start : start + _MAX_VALUES]
-                statement = (
-                    sa.select(sets.c.set_index, sets.c.file)
-                    .where(
-                        sets.c.position.in_(positions),
-                        sets.c.set_index.in_(indices_of_step),
-                        sets.c.file.is_not(None),
-                    )
-                    .distinct()
-                )  # a row a position
-                files |= {row.set_index: row.file for row in connection.execute(statement)}
+                statement = _FILES.where(
+                    sets.c.position.in_(positions),
+                    sets.c.set_index.in_(indices_of_step),
+                    in_plan(sets),
+                    sets.c.file.is_not(None),
+                ).distinct()  # a row a position
+                files |= _files_in(connection, statement)
         return files
 
     def positions_state(self) -> dict[str, LatestRows]:
@@ -464,27 +464,37 @@ def filtered(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa
     """Add filters and order to a query of a table."""
     values = {name: value for name, value in filters.items() if value is not None and name != "after_id"}
     after_id = filters.get("after_id")
-    if "set_index" in table.c and table is not events and "set_index" not in values:
+    if _has_key(table) and "unscheduled_index" not in values:
         values.setdefault("purpose", "planned")
     hour_conditions = _HOURS_OF_UNSCHEDULED if values.get("purpose", "planned") != "planned" else {}
-    bounds = values.keys() & {"last_h", "last_set"}
     for name, value in values.items():
         condition = hour_conditions.get(name) or _CONDITIONS.get(name)
-        if name == "purpose" and value == "planned" and bounds:
-            # A sum is not indexed: so the requested range ends the search, not that of the plan.
-            statement = statement.where(table.c.set_index + 0 < PLANNED_SETS)
-            continue
         statement = statement.where(condition(table, value) if condition else table.c[name] == value)
     # Indices start with the filtered column, then the set: so a page needs no sorting.
     is_complete_test = values.keys() <= {"scope", "purpose"} and values.get("purpose") != "confirmation"
     by_set = "set_index" in table.c and table is not events and not is_complete_test
-    order = (*([table.c.set_index] if by_set else []), *table.primary_key.columns)
+    order = (*(_key_of(table) if by_set else []), *table.primary_key.columns)
     if after_id is not None:
         statement = statement.where(_behind(table, order, after_id))
     elif values.get("topic") in RARE_TOPICS:
         # In the order of ids SQLite would read all events; sorting the few events of a topic is fast.
         return statement.order_by(sa.text("+events.id"))
     return statement.order_by(*order)
+
+
+def _has_key(table: sa.Table) -> bool:
+    """Return whether the rows of a table belong to scheduled and unscheduled sets."""
+    return table is not events and "unscheduled_index" in table.c
+
+
+def _key_of(table: sa.Table) -> list[sa.Column[int]]:
+    """Return the columns of the key of a set in a table."""
+    return [table.c[name] for name in SetKey._fields if name in table.c]
+
+
+def _files_in(connection: sa.Connection, statement: sa.Select[int, int, str]) -> dict[SetKey, str]:
+    """Return the files of a query of `_FILES` by key."""
+    return {SetKey(*key): file for *key, file in connection.execute(statement)}
 
 
 def _behind(table: sa.Table, order: Sequence[sa.ColumnElement[Any]], row_id: int) -> sa.ColumnElement[bool]:
@@ -548,18 +558,23 @@ def _last_set_index() -> sa.Select[Any]:
     return sa.select(sa.func.max(newest.scalar_subquery())).select_from(names)
 
 
+_FILES = sa.select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
+
+
 @cache
-def _unscheduled_files() -> sa.Select[Any]:
+def _unscheduled_files() -> sa.Select[int, int, str]:
     """Return the query for the files of unscheduled sets."""
-    files = sa.select(sets.c.set_index, sets.c.file).where(~in_plan(sets), sets.c.file.is_not(None))
-    return files.order_by(sets.c.set_index)
+    unscheduled = _CONDITIONS["purpose"](sets, "confirmation")
+    return _FILES.where(unscheduled, sets.c.file.is_not(None)).order_by(*_key_of(sets))
 
 
 @cache
-def _newest_files(n_rows: int) -> sa.Select[Any]:
+def _newest_files(n_rows: int) -> sa.Select[int, int, str]:
     """Return the query for the files of the newest rows of sets."""
-    newest = sa.select(sets.c.set_index, sets.c.file).order_by(sets.c.id.desc()).limit(n_rows).subquery()
-    return sa.select(newest).where(newest.c.file.is_not(None)).distinct().order_by(newest.c.set_index)
+    newest = _FILES.order_by(sets.c.id.desc()).limit(n_rows).subquery().c
+    statement = sa.select(newest.set_index, newest.unscheduled_index, newest.file)
+    order = (newest.set_index, newest.unscheduled_index)
+    return statement.where(newest.file.is_not(None)).distinct().order_by(*order)
 
 
 @cache

@@ -26,9 +26,10 @@ from daq_service.catalogue.rows import (
 )
 from daq_service.catalogue.stored_rows import DamagedRow, checked_values, json_text
 from daq_service.catalogue.tables import TABLES, events
+from hardware_drivers.measurement import SetKey
 
 R = TypeVar("R", bound=Row)
-Key = tuple[type[Row], str | None, int | None]
+Key = tuple[type[Row], str | None, SetKey | None]
 Payload = dict[str, Any]
 
 ROW_OF_EVENT: Mapping[str, type[Row]] = MappingProxyType(
@@ -110,7 +111,8 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
             statement = _OF_SOME_SETS[kind].params(positions=positions, indices=some)
             for stored in checked_values(connection, kind, statement):
                 payload = _payload(dict(zip(kind.__slots__, stored, strict=False)))
-                payloads[kind, payload.get("position"), payload["set_index"]] = payload
+                set_key = SetKey(payload["set_index"], payload.get("unscheduled_index", 0))
+                payloads[kind, payload.get("position"), set_key] = payload
     reports = joined(reports, payloads) if reporting else reports
     for event in reports:
         if isinstance(event, EventRow) and is_joined(event):
@@ -141,7 +143,8 @@ def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
     """Yield id and description of the events whose row is lost."""
     for event_kind, kind in ROW_OF_EVENT.items():
         table = TABLES[kind]
-        of_event = [table.c[name] == events.c[name] for name in ("position", "set_index") if name in table.c]
+        names = [name for name in ("position", *SetKey._fields) if name in table.c]
+        of_event = [table.c[name] == events.c[name] for name in names]
         row = of_sets(kind).where(*of_event).correlate(events)
         statement = sa.select(events.c.id).where(
             events.c.kind == event_kind, events.c.payload == {}, ~row.exists()
@@ -166,8 +169,8 @@ def _as_stored(payload: Payload) -> object:
 
 
 def _key(event: EventRow) -> Key:
-    return ROW_OF_EVENT.get(event.kind, EventRow), event.position, event.set_index
+    return ROW_OF_EVENT.get(event.kind, EventRow), event.position, event.set_key
 
 
 def _key_of_row(row: Any) -> Key:
-    return type(row), getattr(row, "position", None), row.set_index
+    return type(row), getattr(row, "position", None), getattr(row, "set_key", SetKey(row.set_index))

@@ -30,13 +30,13 @@ from daq_service.catalogue.rows import (
     FeatureRow,
     Quality,
     Row,
+    RowOfSet,
     SetRow,
     ThicknessRow,
     TrendBlockRow,
 )
 from daq_service.catalogue.stored_rows import DamagedRow, checked_rows, checked_values, storable
 from daq_service.catalogue.tables import TABLES, alarms, sets, trend_blocks
-from hardware_drivers.measurement import PLANNED_SETS
 
 log = logging.getLogger(__name__)
 
@@ -127,7 +127,8 @@ def _bins(connection: Connection, place: PositionRange, first: int, end: int) ->
     results = {row.set_index: row for row in _rows(connection, place.kind, place.position, first, end)}
     assessments = {row.set_index: row for row in _rows(connection, AssessmentRow, place.position, first, end)}
     in_range = (alarms.c.raised_set_index >= first) & (alarms.c.raised_set_index < end)
-    raised = select(alarms).where(alarms.c.position == place.position, in_range)
+    scheduled = alarms.c.raised_unscheduled_index == 0
+    raised = select(alarms).where(alarms.c.position == place.position, in_range, scheduled)
     n_alarms = Counter(row.raised_set_index for row in checked_rows(connection, AlarmRow, raised))
     names = MEASURED[place.kind]
     values = [
@@ -263,10 +264,14 @@ def touched_sets(rows: Iterable[Row]) -> dict[str, set[int]]:
     """Return the scheduled sets of each position that the rows belong to."""
     touched: dict[str, set[int]] = {}
     for row in rows:
-        index = row.raised_set_index if isinstance(row, AlarmRow) else getattr(row, "set_index", None)
-        position = getattr(row, "position", None)
-        if position is not None and index is not None and index < PLANNED_SETS:
-            touched.setdefault(position, set()).add(index)
+        if isinstance(row, AlarmRow):
+            key, position = row.raised_set_key, row.position
+        elif isinstance(row, RowOfSet):
+            key, position = row.set_key, row.position
+        else:
+            continue
+        if position is not None and key is not None and not key.unscheduled_index:
+            touched.setdefault(position, set()).add(key.set_index)
     return touched
 
 

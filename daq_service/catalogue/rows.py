@@ -11,9 +11,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from types import MappingProxyType, NoneType
-from typing import Annotated, Any, Literal, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from hardware_drivers.measurement import Purpose
+from hardware_drivers.measurement import Purpose, SetKey
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 
 Quality = Literal["good", "suspect", "bad"]
@@ -28,7 +28,8 @@ CommandState = Literal["pending", "started", "done", "rejected", "expired", "fai
 SupplyState = Literal["on", "off", "unknown", "absent"]
 ReadingQuality = Literal["good", "suspect", "stale", "no_communication", "absent"]
 Position = Annotated[str, "Monitored position, as the configuration names it"]
-SetIndex = Annotated[int, "Index of the planned set, from 0; unscheduled: n times 10,000,000 more"]
+SetIndex = Annotated[int, "Index of the scheduled set, from 0"]
+UnscheduledIndex = Annotated[int, "0: the scheduled set itself; n: the n-th unscheduled set after it"]
 DueH = Annotated[float, "Hour of the test at which the set is due"]
 
 
@@ -36,6 +37,27 @@ class Row:
     """Base of all rows."""
 
     __slots__: tuple[str, ...] = ()  # of a dataclass with slots: the names of its columns, in order
+
+
+class RowOfSet(Row):
+    """Base of the rows of a set.
+
+    Attributes
+    ----------
+    position, set_index, unscheduled_index
+        Position, index of the scheduled set, and number of the unscheduled set after it (0: none).
+    """
+
+    __slots__ = ()
+    if TYPE_CHECKING:  # the columns are those of the rows
+        position: str
+        set_index: int
+        unscheduled_index: int
+
+    @property
+    def set_key(self) -> SetKey:
+        """Return the key of the set."""
+        return SetKey(self.set_index, self.unscheduled_index)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,11 +77,12 @@ class ExperimentRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class SetRow(Row):
+class SetRow(RowOfSet):
     """One set of one position; partial: some records are stored, missed: none."""
 
     id: int | None = None
     set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
     position: Position
     method: Annotated[Method, "Measuring method"]
     due_utc_ns: int
@@ -81,11 +104,12 @@ class SetRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShotRow(Row):
+class ShotRow(RowOfSet):
     """One stored shot; a pulse-echo record is a shot too."""
 
     sequence: Annotated[int, "Number of the record in the order of acquisition"]
     set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
     position: Position
     shot_index: Annotated[int, "Index of the shot in its set, from 0; null: the complete set"]
     attempt: Annotated[int, "Number of the strike for this shot, from 0: the quality gate repeats some"]
@@ -99,11 +123,12 @@ class ShotRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class FeatureRow(Row):
+class FeatureRow(RowOfSet):
     """Solitary-wave features of a shot, or of a set: the mean of its valid shots."""
 
     id: int | None = None
     set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
     position: Position
     shot_index: Annotated[int | None, "Index of the shot in its set, from 0; null: the complete set"]
     sequence: Annotated[int | None, "Number of the record in the order of acquisition"]
@@ -130,11 +155,12 @@ class FeatureRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ThicknessRow(Row):
+class ThicknessRow(RowOfSet):
     """Pulse-echo result of a set."""
 
     id: int | None = None
     set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
     position: Position
     sequence: Annotated[int | None, "Number of the record in the order of acquisition"]
     due_h: DueH
@@ -215,11 +241,12 @@ class BaselineRow(Row):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class AssessmentRow(Row):
+class AssessmentRow(RowOfSet):
     """Assessment of a set by novelty detection."""
 
     id: int | None = None
     set_index: SetIndex
+    unscheduled_index: UnscheduledIndex = 0
     position: Position
     due_h: DueH
     baseline_id: Annotated[int | None, "Baseline of the assessment; null: none"] = None
@@ -278,6 +305,7 @@ class AlarmRow(Row):
     raised_utc_ns: Annotated[int, "Time when it was raised, on the test clock"]
     raised_h: Annotated[float, "Hour of the test when it was raised"]
     raised_set_index: Annotated[int | None, "Set with which it was raised; null: none"] = None
+    raised_unscheduled_index: UnscheduledIndex = 0
     changed_utc_ns: Annotated[int, "Time of its last change, on the test clock"]
     cleared_utc_ns: Annotated[int | None, "Time when the condition ended; null: it has not"] = None
     acknowledged_utc_ns: Annotated[int | None, "Time of the acknowledgement; null: none"] = None
@@ -292,6 +320,12 @@ class AlarmRow(Row):
     suppressed_reason: Annotated[str | None, "Reason of the suppression; null: none"] = None
     shelved_until_utc_ns: Annotated[int | None, "End of the shelving on the test clock; null: none"] = None
     shelved_until_wall_utc_ns: Annotated[int | None, "The same in real time; the first one ends it"] = None
+
+    @property
+    def raised_set_key(self) -> SetKey | None:
+        """Return the key of the set with which it was raised; None without one."""
+        index = self.raised_set_index
+        return None if index is None else SetKey(index, self.raised_unscheduled_index)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -320,7 +354,13 @@ class EventRow(Row):
     kind: str  # "set_done", "alarm_raised", "recorder_started", "gap", ...
     position: str | None = None
     set_index: int | None = None
+    unscheduled_index: int = 0
     payload: dict[str, Any]
+
+    @property
+    def set_key(self) -> SetKey | None:
+        """Return the key of its set; None without one."""
+        return None if self.set_index is None else SetKey(self.set_index, self.unscheduled_index)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

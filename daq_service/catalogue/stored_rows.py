@@ -1,8 +1,8 @@
 """Store rows in transactions, with a checksum that every read access compares.
 
-The checksum covers the values of the row's dataclass, id included, except None: a new nullable column does
-not change the checksum of older rows. A migration that changes anything else sets `ROW_CRC32` to NULL, and
-`seal_unsealed` computes it again.
+The checksum covers the values of the row's dataclass, id included, except None and the zero of a scheduled
+set (`_SCHEDULED`): such a new column does not change the checksum of older rows. A migration that changes
+anything else sets `ROW_CRC32` to NULL, and `seal_unsealed` computes it again.
 """
 
 from __future__ import annotations
@@ -51,6 +51,7 @@ def _reading_of(column: Column) -> Callable[[Any], Any] | None:
 
 _COLUMNS = {kind: [(column.name, _reading_of(column)) for column in columns_of(kind)] for kind in KINDS}
 _BYTES = {kind: [name for name, read in columns if read is zlib.crc32] for kind, columns in _COLUMNS.items()}
+_SCHEDULED = ("unscheduled_index", "raised_unscheduled_index")
 _PLAIN = {str, int, bool, type(None)}
 _WRITES = "solimon_writes"
 BUSY_TIMEOUT_S = 5.0
@@ -91,7 +92,15 @@ def storable(row: Row) -> dict[str, Any]:
         value = stored[name]
         if value is not None:
             columns[name] = value if as_read is None else as_read(value)
+    _drop_zeros(columns)
     return {**stored, ROW_CRC32: zlib.crc32(orjson.dumps(columns, option=orjson.OPT_SERIALIZE_NUMPY))}
+
+
+def _drop_zeros(columns: dict[str, Any]) -> None:
+    """Remove the columns that have no part in the checksum of a scheduled set's row."""
+    for name in _SCHEDULED:
+        if columns.get(name) == 0:
+            del columns[name]
 
 
 def numbered(connection: Connection, rows: Sequence[R]) -> list[R]:
@@ -119,6 +128,7 @@ def _row_of(kind: type[R], stored: Sequence[Any]) -> R:
 def _check_checksum(kind: type[Row], stored: Sequence[Any]) -> None:
     """Raise DamagedRow if stored values do not match their checksum."""
     columns = {name: value for name, value in zip(kind.__slots__, stored, strict=False) if value is not None}
+    _drop_zeros(columns)
     try:
         for name in _BYTES[kind]:
             if name in columns:

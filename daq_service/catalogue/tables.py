@@ -88,10 +88,13 @@ def _index(table: sa.Table, *names: str) -> None:
 
 
 experiment = _table("experiment", rows.ExperimentRow, uuid=sa.DefaultClause(""))
+_KEY = ("position", "set_index", "unscheduled_index")
+_SCHEDULED = sa.DefaultClause("0")
 sets = _table(
     "sets",
     rows.SetRow,
-    _unique("sets", "position", "set_index"),
+    _unique("sets", *_KEY),
+    unscheduled_index=_SCHEDULED,
     n_missed=sa.DefaultClause("0"),
     n_restrikes=sa.DefaultClause("0"),
 )
@@ -105,16 +108,18 @@ _index(sets, "position", "state", "set_index")
 shots = _table(
     "shots",
     rows.ShotRow,
-    _unique("shots", "position", "set_index", "shot_index", "attempt"),
+    _unique("shots", *_KEY, "shot_index", "attempt"),
+    unscheduled_index=_SCHEDULED,
     outcome=sa.DefaultClause("accepted"),
 )
-features = _table("features", rows.FeatureRow, sequence=sa.ForeignKey("shots.sequence"))
-_index(features, "position", "set_index", "shot_index")
+features = _table(
+    "features", rows.FeatureRow, unscheduled_index=_SCHEDULED, sequence=sa.ForeignKey("shots.sequence")
+)
+_index(features, *_KEY, "shot_index")
 # One feature a set, and the trend of a position without reading past its shots.
 sa.Index(
     "uq_features_set",
-    features.c.position,
-    features.c.set_index,
+    *(features.c[name] for name in _KEY),
     unique=True,
     sqlite_where=features.c.shot_index.is_(None),
 )
@@ -122,7 +127,8 @@ _index(features, "set_index")
 thickness = _table(
     "thickness",
     rows.ThicknessRow,
-    _unique("thickness", "position", "set_index"),
+    _unique("thickness", *_KEY),
+    unscheduled_index=_SCHEDULED,
     sequence=sa.ForeignKey("shots.sequence"),
 )
 _index(thickness, "set_index")
@@ -134,17 +140,22 @@ baselines = _table(
 assessments = _table(
     "assessments",
     rows.AssessmentRow,
-    _unique("assessments", "position", "set_index"),
+    _unique("assessments", *_KEY),
+    unscheduled_index=_SCHEDULED,
     baseline_id=sa.ForeignKey("baselines.id"),
 )
 _index(assessments, "set_index")
-alarms = _table("alarms", rows.AlarmRow)
+# The few unscheduled sets are found without reading past the others.
+for _of_sets in (sets, shots, features, thickness, assessments):
+    _few = _of_sets.c.unscheduled_index > sa.literal_column("0")
+    sa.Index(f"ix_{_of_sets.name}_unscheduled", *(_of_sets.c[name] for name in _KEY), sqlite_where=_few)
+alarms = _table("alarms", rows.AlarmRow, raised_unscheduled_index=_SCHEDULED)
 _index(alarms, "position", "kind")
 _index(alarms, "state")
 _index(alarms, "position", "raised_set_index")
 annotated = _table("annotations", rows.AnnotationRow)  # the other word is a feature of Python's
 _index(annotated, "from_h")
-events = _table("events", rows.EventRow, autoincrement=True)
+events = _table("events", rows.EventRow, autoincrement=True, unscheduled_index=_SCHEDULED)
 RARE_TOPICS = ("service", "alarms")
 """Topics with few events, each with its own index."""
 for _topic in RARE_TOPICS:

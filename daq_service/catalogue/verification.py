@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import sqlite3
 import tempfile
+from collections.abc import Mapping
 from contextlib import ExitStack, closing
 from functools import cached_property, partial
 from pathlib import Path
@@ -27,6 +28,7 @@ from daq_service.catalogue.stored_rows import BUSY_TIMEOUT_S
 from daq_service.catalogue.tables import metadata, trend_blocks
 from daq_service.catalogue.trends import trend_differences
 from daq_service.shared_file import remove_quietly
+from hardware_drivers.measurement import SetKey
 
 _EARLIER_TABLES = {name: earlier for earlier, name in TOPICS.items()}
 
@@ -182,27 +184,38 @@ class UnchangedCatalogue:
         except CatalogueDamagedError:
             return True
 
-    def set_indices(self) -> set[int]:
-        """Return the sets that have rows."""
-        return set(self._values("SELECT DISTINCT set_index FROM sets"))
+    def set_keys(self) -> set[SetKey]:
+        """Return the sets that have rows; a corrupt page may return other types, which are left out."""
+        rows = self._query(f"SELECT DISTINCT {self._key_columns} FROM sets")
+        return {_key_of(row) for row in rows if all(isinstance(value, int) for value in row.values())}
 
-    def files(self) -> dict[int, str]:
-        """Return the files of all rows by set index, in order."""
-        rows = self._query(
-            "SELECT DISTINCT set_index, file FROM sets WHERE file IS NOT NULL ORDER BY set_index"
-        )
-        return {row["set_index"]: row["file"] for row in rows}
+    def files(self) -> dict[SetKey, str]:
+        """Return the files of all rows by key, in order."""
+        rows = self._query(f"SELECT DISTINCT {self._key_columns}, file FROM sets WHERE file IS NOT NULL")
+        return dict(sorted((_key_of(row), row["file"]) for row in rows))
+
+    @cached_property
+    def _has_unscheduled_index(self) -> bool:
+        """Whether unscheduled sets have their own column, as since revision 0016."""
+        return "unscheduled_index" in self._values("SELECT name FROM pragma_table_info('sets')")
+
+    @property
+    def _key_columns(self) -> str:
+        """Columns of the key of a set."""
+        return f"set_index, {'' if self._has_unscheduled_index else '0 AS '}unscheduled_index"
 
     @cached_property
     def _positions(self) -> list[str]:
         return self._values("SELECT DISTINCT position FROM sets")
 
-    def of_set(self, table: str, set_index: int) -> list[dict[str, Any]]:
+    def of_set(self, table: str, set_key: SetKey) -> list[dict[str, Any]]:
         """Return the rows of a set in a table that has a position and a set index."""
         # Its indexes begin with the position.
         marks = ", ".join("?" * len(self._positions))
         where = f"WHERE position IN ({marks}) AND set_index = ?"
-        return self._rows(table, where, *self._positions, set_index)
+        if not self._has_unscheduled_index:
+            return self._rows(table, where, *self._positions, set_key.number)
+        return self._rows(table, f"{where} AND unscheduled_index = ?", *self._positions, *set_key)
 
     def _rows(self, table: str, where: str, *values: Any) -> list[dict[str, Any]]:
         """Return rows by current column names; an earlier revision lacks some."""
@@ -215,7 +228,13 @@ class UnchangedCatalogue:
 
     def strays(self) -> list[int]:
         """Return the shots (`sequence`) whose set has no row of their position."""
-        return self._values(
-            "SELECT sequence FROM shots WHERE NOT EXISTS (SELECT 1 FROM sets"
-            " WHERE sets.position = shots.position AND sets.set_index = shots.set_index)"
-        )
+        same = "sets.position = shots.position AND sets.set_index = shots.set_index"
+        if self._has_unscheduled_index:
+            same += " AND sets.unscheduled_index = shots.unscheduled_index"
+        return self._values(f"SELECT sequence FROM shots WHERE NOT EXISTS (SELECT 1 FROM sets WHERE {same})")
+
+
+def _key_of(row: Mapping[str, Any]) -> SetKey:
+    """Return the key of a row; up to revision 0015 it is one number."""
+    set_index, unscheduled_index = row["set_index"], row["unscheduled_index"]
+    return SetKey(set_index, unscheduled_index) if unscheduled_index else SetKey.of_number(set_index)

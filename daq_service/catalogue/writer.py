@@ -55,7 +55,7 @@ from daq_service.catalogue.tables import (
     sets,
     shots,
 )
-from hardware_drivers.measurement import PLANNED_SETS
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import PULSE_ECHO
 
 R = TypeVar("R", bound=Row)
@@ -172,13 +172,14 @@ class RecorderCatalogue(Catalogue):
             )
         return stored
 
-    def committed_sets(self, among: Collection[int] | None = None) -> set[int]:
-        """Return the indices of the sets, of all or ``among`` some, with stored rows."""
-        statement = select(sets.c.set_index).distinct()
+    def committed_sets(self, among: Collection[SetKey] | None = None) -> set[SetKey]:
+        """Return the keys of the sets, of all or ``among`` some, with stored rows."""
+        statement = select(sets.c.set_index, sets.c.unscheduled_index).distinct()
         if among is not None:
-            statement = statement.where(sets.c.set_index.in_(sorted(among)))
+            statement = statement.where(sets.c.set_index.in_(sorted({key.set_index for key in among})))
         with self.reading() as connection:
-            return set(connection.execute(statement).scalars())
+            found = {SetKey(*key) for key in connection.execute(statement)}
+        return found if among is None else found & set(among)
 
     def last_ended_utc_ns(self) -> int | None:
         """Return the latest end of a set; None before the first one with a record."""
@@ -241,6 +242,7 @@ class RecorderCatalogue(Catalogue):
         payload: Mapping[str, Any],
         position: str | None = None,
         set_index: int | None = None,
+        unscheduled_index: int = 0,
     ) -> int:
         """Append one event and return its id."""
         row = EventRow(
@@ -249,29 +251,30 @@ class RecorderCatalogue(Catalogue):
             kind=kind,
             position=position,
             set_index=set_index,
+            unscheduled_index=unscheduled_index,
             payload=dict(payload),
         )
         return self.commit_set(SetCommit(events=[row])).event_ids[0]
 
-    def without_digest(self) -> dict[int, str]:
-        """Return the files of sets without a stored SHA-256, by set index."""
-        conditions = (sets.c.file.is_not(None), sets.c.file_sha256.is_(None))
+    def without_digest(self) -> dict[SetKey, str]:
+        """Return the files of sets without a stored SHA-256, by key."""
+        statement = select(sets.c.set_index, sets.c.unscheduled_index, sets.c.file)
         with self.reading() as connection:
-            rows = connection.execute(select(sets.c.set_index, sets.c.file).where(*conditions))
-            return {index: str(file) for index, file in rows}
+            rows = connection.execute(statement.where(sets.c.file.is_not(None), sets.c.file_sha256.is_(None)))
+            return {SetKey(*key): str(file) for *key, file in rows}
 
-    def set_digest(self, set_index: int, file: str, sha256: str) -> None:
+    def set_digest(self, set_key: SetKey, file: str, sha256: str) -> None:
         """Store the SHA-256 of a set's file in its rows."""
         with self._writing("noting a file") as connection:
-            of_file = (sets.c.set_index == set_index, sets.c.file == file)
+            of_file = (*_is_set(set_key), sets.c.file == file)
             its_sets = select(sets).where(*of_file, sets.c.file_sha256.is_(None))
             for row in list(checked_rows(connection, SetRow, its_sets)):
                 _change(connection, replace(row, file_sha256=sha256))
 
-    def digest_of(self, set_index: int) -> str | None:
+    def digest_of(self, set_key: SetKey) -> str | None:
         """Return the stored SHA-256 of a set's file; None if there is none."""
         has_digest = sets.c.file_sha256.is_not(None)
-        statement = select(sets.c.file_sha256).where(sets.c.set_index == set_index, has_digest)
+        statement = select(sets.c.file_sha256).where(*_is_set(set_key), has_digest)
         with self.reading() as connection:
             digest: str | None = connection.execute(statement.limit(1)).scalar_one_or_none()
         return digest
@@ -341,6 +344,11 @@ class RecorderCatalogue(Catalogue):
             _change(connection, replace(rows[0], **values))  # type: ignore[arg-type] # names of its columns
 
 
+def _is_set(key: SetKey) -> tuple[ColumnElement[bool], ...]:
+    """Return the conditions for the rows of a set."""
+    return sets.c.set_index == key.set_index, sets.c.unscheduled_index == key.unscheduled_index
+
+
 def payload_of(row: Row, *, last: str = "") -> dict[str, object]:
     """Return the row as payload of its event: without a missing id, column ``last`` at the end."""
     names = [name for name in row.__slots__ if name != "id" or getattr(row, name) is not None]
@@ -400,7 +408,7 @@ def _count(
 ) -> None:
     """Add a commit to the counts; a shot comes with the row of its set."""
     echoes = {row.position for row in commit.sets if row.method == PULSE_ECHO}
-    of_plan = [row for row in commit.shots if row.set_index < PLANNED_SETS]
+    of_plan = [row for row in commit.shots if not row.unscheduled_index]
     n_echoes = sum(row.position in echoes for row in of_plan)
     added = {name: after[name] - before[name] for name in after} | {
         "shots": len(of_plan) - n_echoes,
@@ -418,7 +426,11 @@ def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -
     for row in rows:
         stored_id = None
         if row.in_baseline:
-            its_set = (assessments.c.position == row.position, assessments.c.set_index == row.set_index)
+            its_set = (
+                assessments.c.position == row.position,
+                assessments.c.set_index == row.set_index,
+                assessments.c.unscheduled_index == row.unscheduled_index,
+            )
             statement = select(assessments.c.id).where(*its_set, assessments.c.in_baseline)
             stored_id = connection.execute(statement).scalar()
         if stored_id is None:

@@ -35,6 +35,7 @@ class Event:
     kind: str
     position: str | None
     set_index: int | None
+    unscheduled_index: int
     data: Json
 
 
@@ -130,18 +131,23 @@ class Experiment:
     def waveforms(
         self,
         position: str,
-        set_index: int | None = None,
+        set_index: int | str | None = None,
         *,
         from_h: float | None = None,
         to_h: float | None = None,
     ) -> xarray.DataArray:
         """Read stored waveforms in volts: of one set, of a range of hours, or by default of the newest set.
 
+        Parameters
+        ----------
+        set_index
+            Index of a scheduled set; ``"12.1"`` is the first unscheduled set after set 12.
+
         Returns
         -------
         DataArray, shape (shots, samples), 8 bytes a sample
-            Coordinates: ``time`` in s from the trigger; ``set_index``, ``shot_index``, ``sequence``,
-            ``due_h``, ``utc``, ``valid``, ``flags`` and ``quality`` of each shot.
+            Coordinates: ``time`` in s from the trigger; ``set_index``, ``unscheduled_index``, ``shot_index``,
+            ``sequence``, ``due_h``, ``utc``, ``valid``, ``flags`` and ``quality`` of each shot.
 
         Raises
         ------
@@ -153,7 +159,7 @@ class Experiment:
             raise ClientError(f"there is no position {position!r}; the positions are {', '.join(methods)}")
         if set_index is not None and (from_h, to_h) != (None, None):
             raise ClientError("say either set_index or a range of hours")
-        indices: Sequence[int]
+        indices: Sequence[int | str]
         if set_index is not None:
             indices = [set_index]
         elif (from_h, to_h) == (None, None):
@@ -188,6 +194,7 @@ class Experiment:
                 kind=event["kind"],
                 position=event.get("position"),
                 set_index=event.get("set_index"),
+                unscheduled_index=event.get("unscheduled_index", 0),
                 data=event,
             )
 

@@ -12,11 +12,11 @@ import xarray
 from daq_service.client.connection import Connection, Json
 from daq_service.client.errors import ClientError
 
-PER_SHOT = ("set_index", "shot_index", "sequence", "valid")
+PER_SHOT = ("set_index", "unscheduled_index", "shot_index", "sequence", "valid")
 
 
 def read_waveforms(
-    connection: Connection, position: str, method: str, indices: Sequence[int]
+    connection: Connection, position: str, method: str, indices: Sequence[int | str]
 ) -> xarray.DataArray:
     """Read the accepted waveforms of sets (`Experiment.waveforms`)."""
     shots: list[Json] = []
@@ -24,12 +24,18 @@ def read_waveforms(
         results, _ = _read_results(connection, position, method, index)
         for shot in connection.get(f"sets/{position}/{index}/shots")["items"]:
             if shot["outcome"] == "accepted":
-                shots.append({**shot, **results.get(shot["sequence"], {"due_h": np.nan, "quality": None})})
+                shots.append(
+                    {
+                        **shot,
+                        "set": index,
+                        **results.get(shot["sequence"], {"due_h": np.nan, "quality": None}),
+                    }
+                )
     if not shots:
         raise ClientError(f"no record of position {position} is stored in these sets; look at sets()")
     volts, times = [], []
     for shot in shots:
-        path = f"waveforms/{position}/{shot['set_index']}/{shot['shot_index']}"
+        path = f"waveforms/{position}/{shot['set']}/{shot['shot_index']}"
         time_s, voltage_v = np.load(io.BytesIO(connection.response(path, format="npy").content))
         volts.append(voltage_v)
         times.append(time_s)
@@ -58,7 +64,7 @@ def read_waveforms(
 
 
 def _read_results(
-    connection: Connection, position: str, method: str, index: int
+    connection: Connection, position: str, method: str, index: int | str
 ) -> tuple[dict[int, Json], Json]:
     """Return hour and quality of each waveform of a set, by its sequence number."""
     if method == "pulse_echo":

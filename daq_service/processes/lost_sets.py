@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from daq_service.archive.journal.reader import read_journal
-from daq_service.archive.records import SETS_FOLDER, set_indices
+from daq_service.archive.records import SETS_FOLDER, set_keys
 from daq_service.catalogue import Catalogue
 
 FILED_WITHIN_S = 2.0
@@ -31,21 +31,21 @@ def lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = N
     sets = folder / SETS_FOLDER
     if newest_rows is None:
         missing_files = catalogue.files_but_of(
-            set_indices([name for name in _names(sets) if _size(f"{sets}/{name}")])
+            set_keys([name for name in _names(sets) if _size(f"{sets}/{name}")])
         )
     else:
         recent = catalogue.newest_files(newest_rows)
-        missing_files = {index: file for index, file in recent.items() if not _size(f"{folder}/{file}")}
-        if _changed_after(sets, [file for index, file in recent.items() if index not in missing_files]):
-            missing_files |= catalogue.files_but_of(set_indices(_names(sets)))
+        missing_files = {key: file for key, file in recent.items() if not _size(f"{folder}/{file}")}
+        if _changed_after(sets, [file for key, file in recent.items() if key not in missing_files]):
+            missing_files |= catalogue.files_but_of(set_keys(_names(sets)))
     if not missing_files:
         return {}
     journal = read_journal(folder)
     sizes = {
         file: _size(f"{folder}/{file}")
-        for index, file in missing_files.items()
+        for key, file in missing_files.items()
         # The set may have come out of the journal between the two reads.
-        if not (index in journal and journal[index].reference == file)
+        if not (key in journal and journal[key].reference == file)
     }
     return {file: "is missing" if size is None else "is empty" for file, size in sizes.items() if not size}
 

@@ -74,7 +74,7 @@ class SetAcquisition:
             started_ns=self._rig.clock.utc_ns(),
         )
         self._archive.begin_set(
-            due.set_index,
+            due.set_key,
             due_utc_ns=due.due_utc_ns,
             started_utc_ns=taken.started_ns,
             retired=taken.retired,
@@ -95,7 +95,7 @@ class SetAcquisition:
         taken.features.update({shot.sequence: self.features_of(shot) for shot in taken.shots})
         taken.ended_ns = opened.last_utc_ns
         self._persistence.were_acknowledged(item.sequence for item in opened.records)
-        log.warning("set %d goes on: %d records of it are there", opened.set_index, len(opened.records))
+        log.warning("set %s goes on: %d records of it are there", opened.set_key, len(opened.records))
         return taken
 
     def _restrike_rule(self) -> RestrikeRule:
@@ -132,7 +132,7 @@ class SetAcquisition:
         try:
             yield from measurements
         except InstrumentError as error:
-            log.exception("set %d: the rig failed", due.set_index)
+            log.exception("set %s: the rig failed", due.set_key)
             taken.trouble = error
         taken.ended_ns = self._rig.clock.utc_ns()
 
@@ -188,6 +188,7 @@ class SetAcquisition:
         ]
         return SetRecord(
             set_index=due.set_index,
+            unscheduled_index=due.unscheduled_index,
             due_utc_ns=due.due_utc_ns,
             due_h=due.due_h,
             started_utc_ns=taken.started_ns,

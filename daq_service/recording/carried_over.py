@@ -14,7 +14,7 @@ from daq_service.recording.experiment import foreign_reason, refuse_foreign, ref
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
-from hardware_drivers.measurement import purpose_of
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)
@@ -26,9 +26,9 @@ class CarriedOver:
     Attributes
     ----------
     open_sets
-        Sets that were started and have no rows, by set index.
+        Sets that were started and have no rows, by key.
     corruption_of
-        What is corrupt of a set, by set index.
+        What is corrupt of a set, by key.
     """
 
     def __init__(
@@ -72,32 +72,34 @@ class CarriedOver:
         known = [self._catalogue.next_sequence(), corrupt.next_sequence, *sequences]
         acquisition.next_sequence = max(known) + corrupt.n_lost
 
-    def holds(self, set_index: int) -> bool:
+    def holds(self, set_key: SetKey) -> bool:
         """Whether strikes of a set were made by an earlier recorder."""
-        return set_index in self.open_sets or set_index in self._rowless_files
+        return set_key in self.open_sets or set_key in self._rowless_files
 
     def unscheduled(self) -> list[DueSet]:
         """List open unscheduled sets: where the catalogue was lost, so was the request for them."""
         found = []
-        for index, opened in self.open_sets.items():
-            if purpose_of(index) != "planned":
+        for set_key, opened in self.open_sets.items():
+            if set_key.unscheduled_index:
                 (position,) = (name for name in self._positions if name not in opened.retired)
                 found.append(replace(self._due_of(opened), position=position))
         return found
 
     def _due_of(self, opened: OpenSet) -> DueSet:
         due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
-        return DueSet(set_index=opened.set_index, due_h=due_h, due_utc_ns=opened.due_utc_ns)
+        return DueSet(**opened.set_key._asdict(), due_h=due_h, due_utc_ns=opened.due_utc_ns)
 
     def _dated(self, opened: OpenSet) -> OpenSet:
         """Give a set whose first frame is corrupt the times and positions that rows or schedule have."""
-        index = opened.set_index
-        rows = self._catalogue.rows(SetRow, first_set=index, last_set=index, purpose="any")
-        known = [row.due_utc_ns for row in rows] + [due.due_utc_ns for due in self._plan[index : index + 1]]
+        index, unscheduled_index = opened.set_key
+        rows = self._catalogue.rows(SetRow, **opened.set_key._asdict())
+        planned_set = [] if unscheduled_index else self._plan[index : index + 1]
+        known = [row.due_utc_ns for row in rows] + [due.due_utc_ns for due in planned_set]
         struck = {item.key.position for item in (*opened.records, *opened.missed)}
-        planned = purpose_of(index) == "planned"
         left_out = (
-            self._set_assessor.retired() if planned else dict.fromkeys(self._positions, "not asked for")
+            dict.fromkeys(self._positions, "not asked for")
+            if unscheduled_index
+            else self._set_assessor.retired()
         )
         return replace(
             opened,
@@ -107,27 +109,27 @@ class CarriedOver:
 
     def _end_again(self, opened: OpenSet) -> None:
         """Let what is sound of a stored set get its file, though its end or records of it are corrupt."""
-        file = self._archive.sets().get(opened.set_index)
+        file = self._archive.sets().get(opened.set_key)
         if file is not None:
             record = self._archive.read_set(file, skip_damaged=True)
         else:
-            taken, reason = self._acquisition.restored(opened), self.corruption_of[opened.set_index]
+            taken, reason = self._acquisition.restored(opened), self.corruption_of[opened.set_key]
             record = self._acquisition.record_of(self._due_of(opened), taken, reason)
         self._archive.resume_set(opened)
         self._archive.store_set(record)
-        self._persistence.after_set(opened.set_index)
+        self._persistence.after_set(opened.set_key)
 
     def quarantine_corrupt_files(self) -> None:
         """Let no corrupt file without rows block the start: its set is due again, or missed."""
-        for set_index, file in list(self._rowless_files.items()):
+        for set_key, file in list(self._rowless_files.items()):
             try:
                 reason = foreign_reason(self._archive.read_set(file), self._catalogue.experiment_row())
                 refuse_foreign([f"{file}: {reason}"] if reason else [], self._archive.name)
             except CorruptArchiveError as error:
-                log.error("set %d is set aside: %s", set_index, error)
+                log.error("set %s is set aside: %s", set_key, error)
                 self._archive.set_aside(file)
-                del self._rowless_files[set_index]
-                self.corruption_of[set_index] = f"its file was damaged and is set aside ({error})"
+                del self._rowless_files[set_key]
+                self.corruption_of[set_key] = f"its file was damaged and is set aside ({error})"
 
     def adopt(self, due: DueSet) -> int | None:
         """Give a file its rows: the last recorder died between rename and commit.
@@ -137,7 +139,7 @@ class CarriedOver:
         int or None
             When its set ended (UTC in ns); None: the set has no such file.
         """
-        file = self._rowless_files.get(due.set_index)
+        file = self._rowless_files.get(due.set_key)
         if file is None:
             return None
         record = self._archive.read_set(file)
@@ -146,7 +148,7 @@ class CarriedOver:
         assess = partial(self._set_assessor.assessed, due, record, file, features, sha256=sha256)
         self._persistence.post(assess, self._set_assessor.commit)
         if sha256 is None:  # it is still in the journal
-            self._persistence.do(partial(self._persistence.after_set, due.set_index))
+            self._persistence.do(partial(self._persistence.after_set, due.set_key))
         self._acquisition.number_after(record)
-        log.warning("set %d: rows made again from %s/%s", due.set_index, self._archive.name, file)
+        log.warning("set %s: rows made again from %s/%s", due.set_key, self._archive.name, file)
         return record.ended_utc_ns

@@ -28,6 +28,7 @@ from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
 Alarms = Mapping[tuple[str | None, str], AlarmRow]
@@ -39,9 +40,9 @@ class Confirmations:
     Attributes
     ----------
     asked
-        Every one that was asked for, by its set index.
+        Every one that was asked for, by its key.
     waiting
-        Those of them without rows, by set index in the order in which they were asked for.
+        Those of them without rows, by key in the order in which they were asked for.
     last_results
         Result of the newest one of each position that has one.
     set_ns
@@ -54,13 +55,13 @@ class Confirmations:
         self.set_ns = longest_set_ns(
             settings.schedule, settings.quality.restrikes_per_set, settings.rig.read_timeout_s
         )
-        self.asked: dict[int, Confirmation] = {}
-        self.waiting: dict[int, Confirmation] = {}
+        self.asked: dict[SetKey, Confirmation] = {}
+        self.waiting: dict[SetKey, Confirmation] = {}
         self.last_results: dict[str, ConfirmationResult] = {}
         for one in read_confirmations(catalogue):
-            self.asked[one.due.set_index] = self.waiting[one.due.set_index] = one
-        for index in catalogue.committed_sets(self.waiting) if self.waiting else ():
-            del self.waiting[index]
+            self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
+        for set_key in catalogue.committed_sets(self.waiting) if self.waiting else ():
+            del self.waiting[set_key]
         for position in {one.due.position for one in self.asked.values()} - {None}:
             last = newest_confirmation(catalogue, str(position))
             if last is not None:
@@ -70,14 +71,14 @@ class Confirmations:
         """Add a request, once its event is stored; other events are ignored."""
         if event.kind == CONFIRMATION_ASKED and event.position is not None:
             one = confirmation_from_payload(event.position, event.payload)
-            self.asked[one.due.set_index] = self.waiting[one.due.set_index] = one
+            self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
 
     def take_rows(self, stored: Transaction) -> None:
         """Take in what came of it, once that is stored."""
         for row in stored.sets:
             if row.purpose == "confirmation":
-                self.waiting.pop(row.set_index, None)
-                assessment = next((one for one in stored.assessments if one.set_index == row.set_index), None)
+                self.waiting.pop(row.set_key, None)
+                assessment = next((one for one in stored.assessments if one.set_key == row.set_key), None)
                 self.last_results[row.position] = summarize_confirmation(row, assessment)
 
     def room_ns(self, planned: DueSet, utc_ns: int) -> float:
@@ -148,7 +149,7 @@ class Confirmations:
         self, last: ConfirmationResult, conditions: Sequence[Condition], planned_set: int
     ) -> Sequence[Condition]:
         """Add the last confirmation set of a position to the evidence of a change, if it is new enough."""
-        if planned_set - last.after_set >= self._rules.n:
+        if planned_set - last.set_index >= self._rules.n:
             return conditions
         confirmation = {"confirmation": asdict(last)}
         return [

@@ -16,7 +16,7 @@ from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.recording.waiting import Waiting
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.measurement import in_order
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 log = logging.getLogger(__name__)
@@ -48,10 +48,10 @@ class DueSets:
         self._clock, self._stop = resources.rig.clock, resources.stop
         self._set_assessor, self._persistence = assessor, persistence
         self._carried_over, self._waiting, self._record_gap = carried_over, waiting, record_gap
-        self._started_unscheduled: set[int] = set()
+        self._started_unscheduled: set[SetKey] = set()
         self._calibrated_ns: int | None = None
 
-    def follow(self, done: Collection[int], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
+    def follow(self, done: Collection[SetKey], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
         """Yield each set when it is due: the caller takes it before it asks for the next one.
 
         Parameters
@@ -62,11 +62,11 @@ class DueSets:
             Until when (ns of UTC) sets were missed for what reason, in order.
         """
         for number, due in enumerate(self._plan):
-            if due.set_index in done:
+            if due.set_key in done:
                 self._waiting.newest = due
                 continue
             yield from self._unscheduled_before(due)
-            self._waiting.next_set = due.set_index + self._carried_over.holds(due.set_index)
+            self._waiting.next_set = due.set_index + self._carried_over.holds(due.set_key)
             if not (self._adopted(due) or self._closed_overdue(due, absences)):
                 yield from self._when_due(due)
             self._waiting.newest = due
@@ -136,9 +136,9 @@ class DueSets:
 
     def _requested(self) -> list[DueSet]:
         """List what waits, in the order of the sets; what was started waits for the disk at most."""
-        found = {due.set_index: due for due in self._carried_over.unscheduled()}
-        found |= {index: one.due for index, one in self._set_assessor.confirmations.waiting.items()}
-        return [found[index] for index in sorted(found.keys() - self._started_unscheduled, key=in_order)]
+        found = {due.set_key: due for due in self._carried_over.unscheduled()}
+        found |= {key: one.due for key, one in self._set_assessor.confirmations.waiting.items()}
+        return [found[key] for key in sorted(found.keys() - self._started_unscheduled)]
 
     def _idle_unless_requested(self) -> bool:
         return self._waiting.between_sets() and not self._requested()
@@ -146,9 +146,8 @@ class DueSets:
     def _unscheduled_before(self, scheduled: DueSet | None) -> Iterator[DueSet]:
         """Yield what to take before a scheduled set; None: after the last one."""
         for due in self._requested():
-            after, _ = in_order(due.set_index)
-            if not self._stop.is_set() and (scheduled is None or after < scheduled.set_index):
-                self._started_unscheduled.add(due.set_index)
+            if not self._stop.is_set() and (scheduled is None or due.set_index < scheduled.set_index):
+                self._started_unscheduled.add(due.set_key)
                 if not self._adopted(due):
                     yield due
 
@@ -161,6 +160,5 @@ class DueSets:
         now_ns = self._clock.utc_ns()
         if now_ns > due.due_utc_ns + NS_PER_H:
             return self._waiting.storage.overdue_reason(due.due_utc_ns)
-        after, _ = in_order(due.set_index)
         confirmations = self._set_assessor.confirmations
-        return overlap_reason(confirmations.room_ns(self._plan[after], now_ns), confirmations.set_ns)
+        return overlap_reason(confirmations.room_ns(self._plan[due.set_index], now_ns), confirmations.set_ns)

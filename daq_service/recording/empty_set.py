@@ -34,7 +34,7 @@ def nothing_taken(
     tried
         The attempts, which show the state of the instruments; None: there were none.
     """
-    moment = Moment(utc_ns=utc_ns, due_h=due.due_h, set_index=due.set_index)
+    moment = Moment(utc_ns=utc_ns, due_h=due.due_h, **due.set_key._asdict())
     transaction = Transaction()
     retired = assessor.retired() if tried is None else tried.retired
     for position in assessor.positions_of(due):
@@ -65,7 +65,7 @@ def nothing_taken(
         unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
         payload = rig_condition(due, tried.instrument_error(), unanswered, proven=assessor.proven)
         assessor.carry_alarm(payload, moment, transaction)
-    log.warning("set %d missed: %s", due.set_index, next(iter(causes.values())))
+    log.warning("set %s missed: %s", due.set_key, next(iter(causes.values())))
     if due.position is not None:
         add_confirmation(assessor.alarms, due.position, transaction, moment)
         return transaction

@@ -116,7 +116,7 @@ def refuse_foreign_open_set(opened: OpenSet, planned: Sequence[DueSet], where: s
     OtherExperimentError
         With both times.
     """
-    due = next((due.due_utc_ns for due in planned if due.set_index == opened.set_index), opened.due_utc_ns)
+    due = next((due.due_utc_ns for due in planned if due.set_key == opened.set_key), opened.due_utc_ns)
     if due != opened.due_utc_ns:
         stored = f"due at {format_utc(opened.due_utc_ns)} instead of {format_utc(due)}"
-        refuse_foreign([f"journal, set {opened.set_index}: {stored}"], where)
+        refuse_foreign([f"journal, set {opened.set_key}: {stored}"], where)

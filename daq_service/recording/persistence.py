@@ -12,6 +12,7 @@ from daq_service.archive import SetRecord, StoredSet
 from daq_service.assessment.transaction import Transaction
 from daq_service.errors import PASSING
 from daq_service.recording.resources import Resources
+from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
 
@@ -93,10 +94,10 @@ class Persistence:
         self._reported_ids.difference_update(stored.crc32)
         return stored
 
-    def after_set(self, set_index: int) -> None:
+    def after_set(self, set_key: SetKey) -> None:
         """Let the background tasks know of a set whose rows are stored, so that it gets its file."""
         for task in self._tasks:
-            task.after_set(set_index)
+            task.after_set(set_key)
 
     # The queue ------------------------------------------------------------------------------------
 

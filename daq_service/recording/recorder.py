@@ -35,6 +35,7 @@ from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.recording.storage_alarms import StorageAlarms
 from daq_service.recording.waiting import Waiting
+from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
 
@@ -104,7 +105,7 @@ class Recorder:
         self.waiting.announce(f"taking {_name_of(due)}")
         if due.position is None:
             self.waiting.next_set = due.set_index + 1
-        opened = self._carried_over.open_sets.pop(due.set_index, None)
+        opened = self._carried_over.open_sets.pop(due.set_key, None)
         taken = self._acquisition.begin(due) if opened is None else self._acquisition.resume(opened)
         for measurement in self.acquire(due, taken):
             self.persist(measurement, taken)
@@ -117,18 +118,18 @@ class Recorder:
             positions = self._set_assessor.positions_of(due)
             reasons = {name: self._acquisition.shortfall(name, taken) for name in positions}
             self._record_nothing(due, reasons, utc_ns=taken.ended_ns, tried=taken)
-            self._resources.archive.settle(due.set_index)
+            self._resources.archive.settle(due.set_key)
         # else: the set is still due after a restart
         if taken.trouble is not None and not is_transient(taken.trouble, proven=self._set_assessor.proven):
             raise RigError(
-                f"set {due.set_index} ended early: {taken.trouble}; the {len(taken.shots)} shots before it "
+                f"set {due.set_key} ended early: {taken.trouble}; the {len(taken.shots)} shots before it "
                 "are stored"
             ) from taken.trouble
 
     def _finish(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
         """Take a set of records through the stages that the disk may refuse: they wait for it."""
         self.waiting.announce(f"storing {_name_of(due)}")
-        reason = self._carried_over.corruption_of.get(due.set_index, cut_short_reason)
+        reason = self._carried_over.corruption_of.get(due.set_key, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
         self._acquisition.number_after(record)
         # Now, and not when the disk takes the set.
@@ -143,7 +144,7 @@ class Recorder:
 
     # The stages -----------------------------------------------------------------------------------
 
-    def plan(self, done: Collection[int], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
+    def plan(self, done: Collection[SetKey], absences: Sequence[tuple[int, str]]) -> Iterator[DueSet]:
         """Yield each set without rows when it is due; close those whose time is over (`DueSets.follow`)."""
         return self._due_sets.follow(done, absences)
 
@@ -180,7 +181,7 @@ class Recorder:
         with self._cost.of("judge_s"):
             transaction = self._set_assessor.assessed(due, record, stored.file, features)
         if load is not None and due.position is None:
-            moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
+            moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, **due.set_key._asdict())
             transaction.add_event(MACHINE_READ, load, moment, topic="machine")
         return transaction
 
@@ -192,7 +193,7 @@ class Recorder:
     def publish(self, due: DueSet, transaction: Transaction) -> None:
         """Report alarms and gaps, and have the set get its file."""
         self._set_assessor.publish(transaction)
-        self._persistence.after_set(due.set_index)
+        self._persistence.after_set(due.set_key)
 
     def _hindrance(self, due: DueSet) -> str:
         """State why a set that is due is not taken; empty: it is."""
@@ -204,13 +205,13 @@ class Recorder:
 
     def _record_gap(self, due: DueSet, reason: str) -> None:
         """Take no strike of a set: store what an open one holds, else write gap rows."""
-        opened = self._carried_over.open_sets.pop(due.set_index, None)
+        opened = self._carried_over.open_sets.pop(due.set_key, None)
         if opened is not None and opened.records:
             self._finish(due, self._acquisition.resume(opened), cut_short_reason=reason)
             return
-        reason = self._carried_over.corruption_of.get(due.set_index, reason)
+        reason = self._carried_over.corruption_of.get(due.set_key, reason)
         reasons = dict.fromkeys(self._set_assessor.positions_of(due), reason)
-        self._resources.archive.settle(due.set_index)
+        self._resources.archive.settle(due.set_key)
         self._record_nothing(due, reasons, self._resources.rig.clock.utc_ns())
 
     def _record_nothing(

@@ -53,6 +53,7 @@ from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.settings.instruments import configured
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)
@@ -175,7 +176,7 @@ def _with_background_tasks(
     def has_room() -> bool:
         return disk.space.level in ("ample", "warn")
 
-    def tiles(set_index: int, results: Results) -> Callable[[SetRecord], str] | None:
+    def tiles(set_key: SetKey, results: Results) -> Callable[[SetRecord], str] | None:
         if not has_room():
             return None
         return partial(add_record_to_tiles, folder, experiment, anchors_of(results))
@@ -185,8 +186,8 @@ def _with_background_tasks(
         folder, archive, start=bare.host.worker, results=results, filed=note_file, also=tiles
     )
     # One that has no rows yet gets them first: its file holds a copy of them.
-    for set_index in sorted(catalogue.committed_sets(archive.to_compact())):
-        finalizer.after_set(set_index)
+    for set_key in sorted(catalogue.committed_sets(archive.to_compact())):
+        finalizer.after_set(set_key)
     verification = IdleVerification(
         folder, finalizer, partial(lost_sets, folder, catalogue), catalogue.digest_of, note_file
     )
@@ -215,10 +216,10 @@ def _note_rebuilt(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], epoch_n
 
 
 def _note_file(
-    catalogue: RecorderCatalogue, history: HistoryFollower, set_index: int, file: str, sha256: str
+    catalogue: RecorderCatalogue, history: HistoryFollower, set_key: SetKey, file: str, sha256: str
 ) -> None:
     """Note the SHA-256 of the file of a set."""
-    catalogue.set_digest(set_index, file, sha256)
+    catalogue.set_digest(set_key, file, sha256)
     history.note_digest(file, sha256)
 
 
@@ -238,13 +239,13 @@ def _rebuilt_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> 
 
 
 def _note_digests(
-    catalogue: RecorderCatalogue, archive: Archive, note_file: Callable[[int, str, str], None]
+    catalogue: RecorderCatalogue, archive: Archive, note_file: Callable[[SetKey, str, str], None]
 ) -> None:
     """Note the SHA-256 of files that a crash kept from being noted; a whole older folder's come when idle."""
-    for set_index, file in sorted(catalogue.without_digest().items())[-NOTED_AT_ONCE:]:
+    for set_key, file in sorted(catalogue.without_digest().items())[-NOTED_AT_ONCE:]:
         sha256 = archive.digest(SetReference(file))
         if sha256 is not None:
-            note_file(set_index, file, sha256)
+            note_file(set_key, file, sha256)
 
 
 def longest_call_s(settings: Settings) -> float:

@@ -141,7 +141,7 @@ class SetAssessor:
         file, sha256
             Where the record lies, and the SHA-256 of the file if it is made.
         """
-        moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, set_index=due.set_index)
+        moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, **due.set_key._asdict())
         causes = {position.position: position.cause for position in record.positions}
         retired = self.retired()
         transaction = Transaction()
@@ -197,6 +197,7 @@ class SetAssessor:
         """Make the row of a position that gave not one record, or was not asked for any."""
         return SetRow(
             set_index=due.set_index,
+            unscheduled_index=due.unscheduled_index,
             position=position,
             method=self._settings.positions[position].method,
             due_utc_ns=due.due_utc_ns,
@@ -301,14 +302,14 @@ class SetAssessor:
 
         Called again after an error, it first looks whether the commit took place all the same.
         """
-        indices = {row.set_index for row in transaction.sets}
-        if transaction is self._uncommitted and indices <= self._catalogue.committed_sets(indices):
+        keys = {row.set_key for row in transaction.sets}
+        if transaction is self._uncommitted and keys <= self._catalogue.committed_sets(keys):
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             return
         # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
-        if indices or (self.assessors.enabled and self._uncommitted is None):
+        if keys or (self.assessors.enabled and self._uncommitted is None):
             transaction.states |= self.assessors.changed_states()
-        self._uncommitted = transaction if indices else self._uncommitted
+        self._uncommitted = transaction if keys else self._uncommitted
         committed = self._catalogue.commit_set(transaction)
         self._uncommitted = None if transaction is self._uncommitted else self._uncommitted
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):

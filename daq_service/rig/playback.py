@@ -27,7 +27,7 @@ from daq_service.errors import UsageError
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Clock
 from hardware_drivers.kinds import Finding, Kind, Opened, Opening
-from hardware_drivers.measurement import ShotKey
+from hardware_drivers.measurement import SetKey, ShotKey
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_H
 from hardware_drivers.playback.clock import RecordedClock
@@ -68,14 +68,14 @@ class ArchivedShots:
                 f"{archive.name} holds no sets; give the data folder of a test (the one that holds sets/)"
             )
         self._due_utc_ns = [due_utc_ns(file) for file in self._files.values()]
-        self._damaged: dict[int, str] = {}
+        self._damaged: dict[SetKey, str] = {}
         self._missed: set[ShotKey] = set()
         first = self._first_readable()
         self.rig_kind = first.rig_kind
         self.epoch_utc_ns = first.due_utc_ns - round(first.due_h * NS_PER_H)
         self.configuration_hash = str(first.provenance.get("configuration_hash", ""))
         self._shots = ShotsBySet(_positions(first), self._records)
-        self._moments: dict[int, list[int]] = {}
+        self._moments: dict[SetKey, list[int]] = {}
 
     @property
     def positions(self) -> Mapping[str, str]:
@@ -93,32 +93,32 @@ class ArchivedShots:
             Its file cannot be opened.
         """
         found = self._shots.find(key)
-        if found is None and key.set_index in self._damaged:
+        if found is None and key.set_key in self._damaged:
             raise AcquisitionTimeoutError(
-                f"shot {key.shot_index} of set {key.set_index} at {key.position!r} cannot be played back: "
-                f"{self._damaged[key.set_index]}"
+                f"shot {key.shot_index} of set {key.set_key} at {key.position!r} cannot be played back: "
+                f"{self._damaged[key.set_key]}"
             )
         return found
 
     def tried(self, key: ShotKey) -> bool:
         """Return whether a shot was recorded or missed; of a corrupt set only recorded shots are known."""
         recorded = self._shots.tried(key)
-        return recorded or (key in self._missed and key.set_index not in self._damaged)
+        return recorded or (key in self._missed and key.set_key not in self._damaged)
 
     def next_moment(self, after_utc_ns: int) -> int | None:
         """Return the first recorded time after a time: the start of a set, or the stamp of a record."""
         # A set may last into the next one's time, but not into that of the one after it.
         first = max(0, bisect_right(self._due_utc_ns, after_utc_ns) - 2)
-        for set_index in islice(self._files, first, None):
-            moments = self._moments_of(set_index)
+        for set_key in islice(self._files, first, None):
+            moments = self._moments_of(set_key)
             if moments and moments[-1] > after_utc_ns:
                 return next(moment for moment in moments if moment > after_utc_ns)
         return None
 
-    def _moments_of(self, set_index: int) -> list[int]:
-        if set_index not in self._moments:
-            self._shots.records_of_set(set_index)
-        return self._moments[set_index]
+    def _moments_of(self, set_key: SetKey) -> list[int]:
+        if set_key not in self._moments:
+            self._shots.records_of_set(set_key)
+        return self._moments[set_key]
 
     def _first_readable(self) -> SetRecord:
         for file in self._files.values():
@@ -130,31 +130,31 @@ class ArchivedShots:
             f"none of the {len(self._files)} sets of {self._archive.name} can be read; see `solimon verify`"
         )
 
-    def _records(self, set_index: int) -> Iterable[Record]:
-        file = self._files.get(set_index)
+    def _records(self, set_key: SetKey) -> Iterable[Record]:
+        file = self._files.get(set_key)
         if file is None:
             return ()
         try:
-            record = self._complete_or_remaining(set_index, file)
+            record = self._complete_or_remaining(set_key, file)
         except CorruptArchiveError as error:
-            self._damaged[set_index] = str(error)
-            self._moments[set_index] = []
+            self._damaged[set_key] = str(error)
+            self._moments[set_key] = []
             return ()
         except ArchiveError as error:
             raise ConfigurationError(f"the recording cannot be read: {error}") from error
         self._missed |= {item.key for item in record.missed}
-        self._moments[set_index] = sorted(
+        self._moments[set_key] = sorted(
             {record.started_utc_ns, *(item.stamp.utc_ns for item in record.records)}
         )
         return record.records
 
-    def _complete_or_remaining(self, set_index: int, file: SetReference) -> SetRecord:
+    def _complete_or_remaining(self, set_key: SetKey, file: SetReference) -> SetRecord:
         try:
             return self._archive.read_set(file)
         except CorruptArchiveError:
             left = self._archive.read_set(file, skip_damaged=True)
             damages = "; ".join(map(str, self._archive.verify_set(file)))
-            self._damaged[set_index] = f"{self._archive.name}/{file}: {damages}"
+            self._damaged[set_key] = f"{self._archive.name}/{file}: {damages}"
             return left
 
 

@@ -64,7 +64,7 @@ class Recording(StruckDigitizer):
         if acquired is None:
             raise AcquisitionTimeoutError(
                 f"the recording has no attempt {key.attempt} at shot {key.shot_index} of set "
-                f"{key.set_index} at {key.position!r}"
+                f"{key.set_key} at {key.position!r}"
             )
         return acquired
 

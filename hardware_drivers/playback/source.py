@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Protocol, runtime_checkable
 
 from hardware_drivers.instruments import Acquired, Echo
-from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey
+from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, ShotKey
 
 Record = Shot | PulseEchoRecord
 
@@ -71,7 +71,7 @@ class ShotsBySet:
     def __init__(
         self,
         positions: Mapping[str, str],
-        read: Callable[[int], Iterable[Record]],
+        read: Callable[[SetKey], Iterable[Record]],
         *,
         sets_kept: int = SETS_KEPT,
     ) -> None:
@@ -80,7 +80,7 @@ class ShotsBySet:
         self._positions = dict(positions)
         self._read = read
         self._sets_kept = sets_kept
-        self._sets: OrderedDict[int, dict[ShotKey, Record]] = OrderedDict()
+        self._sets: OrderedDict[SetKey, dict[ShotKey, Record]] = OrderedDict()
 
     @property
     def positions(self) -> Mapping[str, str]:
@@ -89,18 +89,18 @@ class ShotsBySet:
 
     def find(self, key: ShotKey) -> Acquired | None:
         """Return the record of a shot, None if it was not recorded."""
-        record = self.records_of_set(key.set_index).get(key)
+        record = self.records_of_set(key.set_key).get(key)
         return None if record is None else acquired_of(record)
 
     def tried(self, key: ShotKey) -> bool:
         """Return whether the shot was recorded."""
-        return key in self.records_of_set(key.set_index)
+        return key in self.records_of_set(key.set_key)
 
-    def records_of_set(self, set_index: int) -> Mapping[ShotKey, Record]:
+    def records_of_set(self, set_key: SetKey) -> Mapping[ShotKey, Record]:
         """Return every record of a set, from memory if it was requested lately."""
-        if set_index not in self._sets:
-            self._sets[set_index] = {record.key: record for record in self._read(set_index)}
+        if set_key not in self._sets:
+            self._sets[set_key] = {record.key: record for record in self._read(set_key)}
             while len(self._sets) > self._sets_kept:
                 self._sets.popitem(last=False)
-        self._sets.move_to_end(set_index)
-        return self._sets[set_index]
+        self._sets.move_to_end(set_key)
+        return self._sets[set_key]

@@ -158,7 +158,7 @@ def _block(
         first.position,
         chain,
         weather,
-        set_index=first.set_index,
+        set_key=first.set_key,
         hour_h=hour_h,
         warmer_k=warmer_k,
     )

@@ -11,7 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from hardware_drivers.measurement import ShotKey, in_order
+from hardware_drivers.measurement import SetKey, ShotKey
 from simulator.numerics.arrays import FloatArray
 from simulator.numerics.keyed_random import Purpose, generator
 
@@ -48,7 +48,7 @@ def memory_weights(memory: FloatArray) -> FloatArray:
 
 
 def autocorrelated_values(
-    weights: FloatArray, dof: float, *, seed: int, position: str, set_index: int
+    weights: FloatArray, dof: float, *, seed: int, position: str, set_key: SetKey
 ) -> FloatArray:
     """Return stationary processes of variance 1 at a set, shape (n,).
 
@@ -62,13 +62,13 @@ def autocorrelated_values(
     A set beside the plan remembers what the next planned one does, and has an innovation of its own: planned
     sets stay what they are without it.
     """
-    planned, unscheduled = in_order(set_index)
+    planned, unscheduled = set_key
     block, first = divmod(planned + bool(unscheduled), LAGS)
     recent = np.concatenate(
         [_innovations(seed, position, number, weights.shape[1], dof) for number in (block, block + 1)]
     )[first + 1 : first + 1 + LAGS]
     if unscheduled:
-        key = ShotKey(position=position, set_index=set_index, shot_index=0)
+        key = ShotKey.in_set(set_key, position, 0)
         recent[-1] = unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (weights.shape[1],))
     return np.asarray((weights * recent).sum(axis=0))
 

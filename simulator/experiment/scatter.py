@@ -76,8 +76,7 @@ def scattered_strike(
     of its guide, and there is nothing beyond. The set's part is drawn from the set alone, so all its
     shots share it.
     """
-    set_key = ShotKey(position=key.position, set_index=key.set_index, shot_index=0)
-    set_part = _set_draws(seed, set_key)
+    set_part = _set_draws(seed, ShotKey.in_set(key.set_key, key.position, 0))
     shot_part = _unit_draws(generator(seed, Purpose.SHOT_SCATTER, key=key))
     warmer_k = temperature_c - drift.mean_temperature_c
 

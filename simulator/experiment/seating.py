@@ -11,6 +11,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from hardware_drivers.measurement import SetKey
 from simulator.experiment.faults import HOURS_PER_YEAR
 from simulator.experiment.processes import (
     autocorrelated_values,
@@ -180,7 +181,7 @@ def seat_of_set(
     chain: ChainParameters,
     weather: Climate,
     *,
-    set_index: int,
+    set_key: SetKey,
     hour_h: float,
     warmer_k: float,
 ) -> Seat:
@@ -199,7 +200,7 @@ def seat_of_set(
         hour_h, parameters.reseats_per_1000_h / 1_000.0, seed=seed, position=position, size=size
     )
     moved = autocorrelated_values(
-        sources.memory, parameters.tail_dof, seed=seed, position=position, set_index=set_index
+        sources.memory, parameters.tail_dof, seed=seed, position=position, set_key=set_key
     )
     thousands = hour_h / 1_000.0
     growth = 1.0 + parameters.scatter_growth_per_1000_h * thousands

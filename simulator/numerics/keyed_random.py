@@ -65,7 +65,7 @@ def generator(
     name = position if key is None else key.position
     words = [seed, int(purpose), *_name_words(name)]
     if key is not None:
-        words += [key.set_index, key.shot_index, key.attempt]
+        words += [key.set_key.number, key.shot_index, key.attempt]
     # Every word is below 2**32: SeedSequence would split a larger one and keys could coincide.
     mixed: Any = SeedWords(np.array(words, dtype=np.uint32))  # NumPy's types know its own class alone
     return np.random.Generator(np.random.SFC64(mixed))

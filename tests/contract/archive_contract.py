@@ -28,6 +28,7 @@ from daq_service.archive import (
     due_utc_ns,
     waveform_crc32,
 )
+from hardware_drivers.measurement import SetKey
 
 
 class ArchiveContract:
@@ -99,7 +100,7 @@ class ArchiveContract:
         for one in (archive, reopened()):
             again = one.store_set(make_set())
             assert (again.file, again.n_bytes, again.crc32) == (stored.file, stored.n_bytes, stored.crc32)
-            assert one.sets() == {SET_INDEX: stored.file}
+            assert one.sets() == {SetKey(SET_INDEX): stored.file}
 
     @pytest.mark.parametrize(
         "change",
@@ -119,7 +120,7 @@ class ArchiveContract:
         for one in (archive, reopened()):
             with pytest.raises(ConflictingSetError, match="set 7 is stored already"):
                 one.store_set(replace(make_set(), **change))
-            assert one.sets() == {SET_INDEX: stored.file}
+            assert one.sets() == {SetKey(SET_INDEX): stored.file}
             assert_same_set(one.read_set(stored.file), make_set())
 
     def test_provenance_that_json_cannot_hold_is_refused(self, archive):
@@ -128,7 +129,8 @@ class ArchiveContract:
         assert archive.sets() == {}
 
     def test_sets_are_listed_in_their_order(self, archive, reopened, reader):
-        records = {index: other_set(make_set(), index) for index in (12, 7, 1_000_001, 999_999)}
+        keys = [SetKey(12), SetKey(7, 2), SetKey(7), SetKey(1_000_001), SetKey(999_999)]
+        records = {key: other_set(make_set(), *key) for key in keys}
         files = {index: archive.store_set(record).file for index, record in records.items()}
         for one in (archive, reopened(), reader):
             assert list(one.sets().items()) == sorted(files.items())
@@ -142,7 +144,7 @@ class ArchiveContract:
     def test_only_complete_sets_are_listed(self, archive, reopened, reader, crash_while_storing):
         whole = archive.store_set(make_set())
         crash_while_storing(other_set(make_set(), SET_INDEX + 1))
-        assert reader.sets() == reopened().sets() == {SET_INDEX: whole.file}
+        assert reader.sets() == reopened().sets() == {SetKey(SET_INDEX): whole.file}
         assert reopened().n_bytes() == whole.n_bytes
         again = other_set(make_set(), SET_INDEX + 1)
         assert_same_set(reader.read_set(reopened().store_set(again).file), again)
@@ -222,7 +224,7 @@ class JournalContract(ArchiveContract):
         """Store the first records of the set, and its missed shots, as a recorder does."""
         whole = make_set()
         archive.begin_set(
-            SET_INDEX,
+            SetKey(SET_INDEX),
             due_utc_ns=DUE_UTC_NS,
             started_utc_ns=whole.started_utc_ns,
             retired={"D": "retired by ann"},
@@ -238,7 +240,7 @@ class JournalContract(ArchiveContract):
         assert archive.sync() == []
         (opened,) = reopened().open_sets().values()
         whole = make_set()
-        assert (opened.set_index, opened.due_utc_ns) == (SET_INDEX, DUE_UTC_NS)
+        assert (opened.set_key, opened.due_utc_ns) == (SetKey(SET_INDEX), DUE_UTC_NS)
         assert (opened.started_utc_ns, opened.retired) == (whole.started_utc_ns, {"D": "retired by ann"})
         assert bits(list(opened.records)) == bits(whole.records[:3])
         assert list(opened.missed) == list(whole.missed)
@@ -269,6 +271,6 @@ class JournalContract(ArchiveContract):
     def test_a_finalized_set_is_removed_from_memory(self, archive, reopened):
         self.begin(archive, 0)
         archive.sync()
-        archive.settle(SET_INDEX)
+        archive.settle(SetKey(SET_INDEX))
         archive.close()
         assert reopened().open_sets() == {}

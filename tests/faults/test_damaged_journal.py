@@ -12,7 +12,6 @@ from daq_service.archive.journal.frames import HEADER, Kind, frames
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
 from daq_service.cli.maintenance.verify import verify_folder
-from hardware_drivers.measurement import purpose_of
 
 SETS, SHOTS = 3, 3
 A_SET = 3 * SHOTS + 1
@@ -204,7 +203,7 @@ def test_an_unscheduled_set_without_its_first_frame_goes_on(tmp_path):
     segment = newest_segment(folder)
     content = bytearray(segment.read_bytes())
     begin = [frame for frame in frames(bytes(content)) if frame.kind is Kind.BEGIN][-1]
-    assert purpose_of(begin.set_index) == "confirmation"
+    assert begin.set_key.unscheduled_index
     content[begin.start] ^= 1
     segment.write_bytes(content)
     record(settings, folder)

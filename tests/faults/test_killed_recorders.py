@@ -114,6 +114,6 @@ def test_kills_at_any_moment_lose_no_acknowledged_shot_and_change_no_row(tmp_pat
     assert found == rows_of(tmp_path / "undisturbed")
     assert {row.sequence for row in found["shots"]} >= set(acknowledged) - {None}
     reader = FolderSetReader(folder)
-    assert set(reader.sets()) == {row.set_index for row in found["sets"]}
+    assert set(reader.sets()) == {row.set_key for row in found["sets"]}
     assert read_journal(folder) == {}
     assert verify_folder(folder).damage == []

@@ -117,7 +117,7 @@ def make_set() -> SetRecord:
     )
 
 
-def other_set(record: SetRecord, set_index: int) -> SetRecord:
+def other_set(record: SetRecord, set_index: int, unscheduled_index: int = 0) -> SetRecord:
     """Return the same measurements as another set, an hour later for each index."""
     hours = set_index - record.set_index
 
@@ -125,7 +125,7 @@ def other_set(record: SetRecord, set_index: int) -> SetRecord:
         return replace(
             item,
             sequence=item.sequence + 1000 * hours,
-            key=replace(item.key, set_index=set_index),
+            key=replace(item.key, set_index=set_index, unscheduled_index=unscheduled_index),
             truth=dict(item.truth),
             settings=dict(item.settings),
         )
@@ -133,10 +133,14 @@ def other_set(record: SetRecord, set_index: int) -> SetRecord:
     return replace(
         record,
         set_index=set_index,
+        unscheduled_index=unscheduled_index,
         due_utc_ns=record.due_utc_ns + hours * 3_600_000_000_000,
         shots=[moved(shot) for shot in record.shots],
         echoes=[moved(echo) for echo in record.echoes],
-        missed=[replace(item, key=replace(item.key, set_index=set_index)) for item in record.missed],
+        missed=[
+            replace(item, key=replace(item.key, set_index=set_index, unscheduled_index=unscheduled_index))
+            for item in record.missed
+        ],
         outcomes={sequence + 1000 * hours: outcome for sequence, outcome in record.outcomes.items()},
     )
 

@@ -45,7 +45,7 @@ from daq_service.recording.recorder import Recorder
 from daq_service.recording.resources import Host, SessionOptions
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
-from hardware_drivers.measurement import PLANNED_SETS, Shot, ShotKey, Waveform, in_order
+from hardware_drivers.measurement import SetKey, Shot, ShotKey, Waveform
 from support.memory_line import TABLES, ScriptedInstruments, healthy, memory_settings
 from support.small_experiment import AtOnce
 from support.traced_files import State, mark, set_tracing, state_of, write_state
@@ -78,14 +78,14 @@ class LongerRecords(ScriptedInstruments):
 
     def _record(self, key: ShotKey) -> Waveform:
         short = super()._record(key)
-        seed = [ord(key.position[0]), key.set_index, key.shot_index, key.attempt]
+        seed = [ord(key.position[0]), key.set_key.number, key.shot_index, key.attempt]
         counts = np.random.default_rng(seed).integers(-999, 999, SAMPLES, dtype=np.int16)
         return replace(short, counts=counts, pretrigger_samples=1)
 
 
 def features_by_key(shot: Shot) -> Any:
     """Return features of a healthy wall, changed at B in the last set and its confirmations."""
-    planned, _ = in_order(shot.key.set_index)
+    planned = shot.key.set_index
     return healthy(shot.key, 1.0 if (shot.key.position, planned) == ("B", SETS - 1) else 0.0)
 
 
@@ -155,7 +155,7 @@ class Outcome:
 
     rows: dict[str, list[Any]]
     counts: dict[int, bytes]
-    keys: dict[int, tuple[str, int, int, int]]
+    keys: dict[int, tuple[str, SetKey, int, int]]
 
 
 def rows_of(folder: Path, kind: str) -> dict[str, list[Any]]:
@@ -184,7 +184,7 @@ def outcome(folder: Path, kind: str) -> Outcome:
         for file in FolderSetReader(folder).sets().values()
         for sequence, content in _counts(folder / file, (folder / file).read_bytes()).items()
     }
-    keys = {row.sequence: (row.position, row.set_index, row.shot_index, row.attempt) for row in rows["shots"]}
+    keys = {row.sequence: (row.position, row.set_key, row.shot_index, row.attempt) for row in rows["shots"]}
     return Outcome(rows=rows, counts=counts, keys=keys)
 
 
@@ -269,8 +269,8 @@ def _without_alarms(rows: dict[str, list[Any]]) -> dict[str, list[Any]]:
     return {name: found for name, found in rows.items() if name not in ("alarms", "events")}
 
 
-def _of(key: ShotKey) -> tuple[str, int, int, int]:
-    return key.position, key.set_index, key.shot_index, key.attempt
+def _of(key: ShotKey) -> tuple[str, SetKey, int, int]:
+    return key.position, key.set_key, key.shot_index, key.attempt
 
 
 def _unreadable(folder: Path) -> Iterator[tuple[str, str]]:
@@ -281,7 +281,7 @@ def _unreadable(folder: Path) -> Iterator[tuple[str, str]]:
             yield path.name, f"cannot be read: {error}"
 
 
-def _not_behind(struck: set[tuple[str, int, int, int]], found: Outcome) -> list[str]:
+def _not_behind(struck: set[tuple[str, SetKey, int, int]], found: Outcome) -> list[str]:
     """Numbers follow the order in which shots are taken: those of a start lie behind all others."""
     kept = max((number for number, key in found.keys.items() if key not in struck), default=0)
     return [
@@ -301,7 +301,7 @@ def _without_numbers(rows: dict[str, list[Any]]) -> dict[str, list[Any]]:
         if not isinstance(content, dict):
             return content
         depends = ("sequence", "file_sha256", "id")
-        if (content.get("set_index") or 0) >= PLANNED_SETS:
+        if content.get("unscheduled_index"):
             depends += ("due_h", "file")
         return {
             name: bare(value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from pathlib import Path
 
-from hardware_drivers.measurement import Waveform, in_order
+from hardware_drivers.measurement import Waveform
 from support.life_of_a_test import run
 from support.memory_line import Line, memory_settings
 from support.synthetic_records import Scene
@@ -39,8 +39,6 @@ def drifting_wall(folder: Path) -> Line:
         alarms={"decides_by": "k_of_n"},
     )
     settings = settings.model_copy(update={"positions": {name: settings.positions[name] for name in "BC"}})
-    line = Line(
-        folder, settings, lambda key: record_of(key.position, in_order(key.set_index)[0], key.shot_index)
-    )
+    line = Line(folder, settings, lambda key: record_of(key.position, key.set_index, key.shot_index))
     run(line)
     return line

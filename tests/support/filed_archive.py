@@ -13,7 +13,7 @@ class FiledArchive(FolderArchive):
     def store_set(self, record: SetRecord) -> StoredSet:
         stored = super().store_set(record)
         with suppress(SetNotFoundError):  # it has its file already
-            compact_set(self.folder, record.set_index, results=record.results)
-        self.settle(record.set_index)
+            compact_set(self.folder, record.set_key, results=record.results)
+        self.settle(record.set_key)
         self.close()
         return replace(stored, n_bytes=(self.folder / stored.file).stat().st_size)

@@ -40,7 +40,7 @@ from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.recorder_state import FAREWELLS
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey, Stamp
+from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, ShotKey, Stamp
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 from support.empty_catalogue import empty_catalogue
 from support.filed_archive import FiledArchive
@@ -261,8 +261,8 @@ class FilledFolder:
 
     def add_confirmation(
         self, position: str, planned_set: int, authors: tuple[str, ...] = ("",), file: str | None = None
-    ) -> int:
-        """Add an unscheduled set, a minute after a scheduled one, that confirms it; return its index.
+    ) -> SetKey:
+        """Add an unscheduled set, a minute after a scheduled one, that confirms it; return its key.
 
         ``authors`` asked for it, of which "" is suspicion.
         """
@@ -273,7 +273,7 @@ class FilledFolder:
             asked = Confirmation(due=due, reason=STEP, author=author).payload()
             moment = Moment(utc_ns=due.due_utc_ns, due_h=due.due_h, set_index=planned_set)
             transaction.add_event(CONFIRMATION_ASKED, asked, moment, position=position)
-        its = {"set_index": due.set_index, "position": position, "due_h": due.due_h}
+        its = {**due.set_key._asdict(), "position": position, "due_h": due.due_h}
         row = SetRow(
             **its,
             method=self.settings.positions[position].method,
@@ -290,7 +290,7 @@ class FilledFolder:
         assessment = self.assessment(position, planned_set, due.due_h)
         transaction.assessments.append(replace(assessment, **its, distance_squared=400.0, confirms=True))
         self.catalogue.commit_set(transaction)
-        return due.set_index
+        return due.set_key
 
     def add_alarm(
         self,

@@ -23,8 +23,8 @@ from daq_service.archive import (
     StoreTimings,
     waveform_crc32,
 )
-from daq_service.archive.records import JournalDamage, ordered, set_reference
-from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+from daq_service.archive.records import JournalDamage, set_reference
+from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, Waveform
 
 NO_TIME = StoreTimings(image_s=0.0, fsync_s=0.0)
 
@@ -34,7 +34,7 @@ class Shelf:
     """Data that survive an archive's process: its stored sets, and which of them are corrupt."""
 
     sets: dict[SetReference, SetRecord] = field(default_factory=dict)
-    open: dict[int, OpenSet] = field(default_factory=dict)
+    open: dict[SetKey, OpenSet] = field(default_factory=dict)
     damaged: set[tuple[SetReference, int]] = field(default_factory=set)
     quarantine: list[tuple[SetReference, SetRecord]] = field(default_factory=list)
 
@@ -53,20 +53,20 @@ class MemoryArchive:
 
     def __init__(self, shelf: Shelf | None = None) -> None:
         self.shelf = Shelf() if shelf is None else shelf
-        self._open_sets: dict[int, OpenSet] = {}
+        self._open_sets: dict[SetKey, OpenSet] = {}
 
-    def begin_set(self, set_index: int, **open_set: Any) -> None:
+    def begin_set(self, set_key: SetKey, **open_set: Any) -> None:
         last_utc_ns = open_set["started_utc_ns"]
-        self._open_sets[set_index] = OpenSet(set_index=set_index, last_utc_ns=last_utc_ns, **open_set)
+        self._open_sets[set_key] = OpenSet(set_key=set_key, last_utc_ns=last_utc_ns, **open_set)
 
     def append(self, taken: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
-        open_set = self._open_sets.get(taken.key.set_index)
+        open_set = self._open_sets.get(taken.key.set_key)
         if open_set is None:
             return
         name = "missed" if isinstance(taken, MissedRecord) else "records"
         added: Any = {name: [*getattr(open_set, name), taken]}
         last_utc_ns = max(open_set.last_utc_ns, utc_ns)
-        self._open_sets[taken.key.set_index] = replace(open_set, last_utc_ns=last_utc_ns, **added)
+        self._open_sets[taken.key.set_key] = replace(open_set, last_utc_ns=last_utc_ns, **added)
 
     def close(self) -> None:
         """Do nothing: no resource is held."""
@@ -80,23 +80,23 @@ class MemoryArchive:
         now = [item.sequence for open_set in self._open_sets.values() for item in open_set.records]
         return [sequence for sequence in now if sequence not in before]
 
-    def open_sets(self) -> dict[int, OpenSet]:
+    def open_sets(self) -> dict[SetKey, OpenSet]:
         return dict(self.shelf.open)
 
     def resume_set(self, opened: OpenSet) -> None:
-        self._open_sets[opened.set_index] = opened
+        self._open_sets[opened.set_key] = opened
 
-    def places(self, set_index: int) -> Places:
+    def places(self, set_key: SetKey) -> Places:
         """Return no byte ranges: memory has no segments."""
         return {}
 
-    def settle(self, set_index: int) -> None:
-        self._open_sets.pop(set_index, None)
-        self.shelf.open.pop(set_index, None)
+    def settle(self, set_key: SetKey) -> None:
+        self._open_sets.pop(set_key, None)
+        self.shelf.open.pop(set_key, None)
 
     def store_set(self, record: SetRecord) -> StoredSet:
-        reference = set_reference(record.set_index, record.due_utc_ns)
-        stored = self.sets().get(record.set_index)
+        reference = set_reference(record.set_key, record.due_utc_ns)
+        stored = self.sets().get(record.set_key)
         record = replace(
             record,
             provenance=json.loads(json.dumps(record.provenance, allow_nan=False)),
@@ -106,9 +106,9 @@ class MemoryArchive:
             },
         )
         if stored is not None and bits(self.shelf.sets[stored]) != bits(record):
-            raise ConflictingSetError(f"set {record.set_index} is stored already in {stored} and differs")
+            raise ConflictingSetError(f"set {record.set_key} is stored already in {stored} and differs")
         self.shelf.sets[reference] = record
-        self.settle(record.set_index)
+        self.settle(record.set_key)
         crc32 = {item.sequence: waveform_crc32(item.waveform) for item in record.records}
         return StoredSet(file=reference, n_bytes=_n_bytes(record), crc32=crc32, timings=NO_TIME)
 
@@ -118,8 +118,8 @@ class MemoryArchive:
     def quarantined(self) -> list[str]:
         return [reference for reference, _ in self.shelf.quarantine]
 
-    def sets(self) -> dict[int, SetReference]:
-        return ordered({record.set_index: file for file, record in self.shelf.sets.items()})
+    def sets(self) -> dict[SetKey, SetReference]:
+        return dict(sorted((record.set_key, file) for file, record in self.shelf.sets.items()))
 
     def n_bytes(self) -> int:
         return sum(map(_n_bytes, self.shelf.sets.values()))

@@ -44,7 +44,7 @@ from daq_service.settings.file import load_settings
 from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
 from hardware_drivers.instruments import Acquired, Clock, Echo, Rig
-from hardware_drivers.measurement import Calibration, Shot, ShotKey, Waveform, in_order
+from hardware_drivers.measurement import Calibration, SetKey, Shot, ShotKey, Waveform
 from support.empty_catalogue import empty_catalogue
 from support.memory_archive import MemoryArchive, Shelf
 
@@ -86,7 +86,9 @@ def memory_settings(**tables: Mapping[str, Any]) -> Settings:
 
 def healthy(key: ShotKey, shift: float = 0.0) -> ShotFeatures:
     """Return features of a healthy shot: each key has its own, the same in every run."""
-    noise = np.random.default_rng([ord(key.position[0]), key.set_index, key.shot_index]).standard_normal(5)
+    noise = np.random.default_rng([ord(key.position[0]), key.set_key.number, key.shot_index]).standard_normal(
+        5
+    )
     tof_pp, tof_ac, ratio, coefficient, area = (1.0 + 0.01 * noise + shift).tolist()
     return ShotFeatures(
         tof_pp_s=340e-6 * tof_pp,
@@ -140,7 +142,7 @@ class ScriptedInstruments:
             raise AcquisitionTimeoutError(f"no trigger at {key.position}")
         if isinstance(scripted, Waveform):
             return scripted
-        counts = [ord(key.position[0]), *in_order(key.set_index), key.shot_index, key.attempt]
+        counts = [ord(key.position[0]), *key.set_key, key.shot_index, key.attempt]
         return Waveform(
             counts=np.array(counts, dtype=np.int16),
             sample_rate_hz=1e7,
@@ -149,10 +151,18 @@ class ScriptedInstruments:
         )
 
     @property
-    def struck(self) -> list[tuple[str, int, int, int]]:
-        """Return every strike: position, set, shot, attempt."""
+    def struck(self) -> list[tuple[str, int | SetKey, int, int]]:
+        """Return every strike: position, set (its index if it is a scheduled one), shot, attempt."""
         keys = [key for call, key in self.calls if call == "strike" and key is not None]
-        return [(key.position, key.set_index, key.shot_index, key.attempt) for key in keys]
+        return [
+            (
+                key.position,
+                key.set_key if key.unscheduled_index else key.set_index,
+                key.shot_index,
+                key.attempt,
+            )
+            for key in keys
+        ]
 
 
 class QuietHeartbeat:

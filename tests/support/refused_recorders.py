@@ -40,6 +40,7 @@ from daq_service.recording import session
 from daq_service.recording.resources import Host, SessionOptions
 from daq_service.recording.session import RigOpener
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_S
 from support.crashed_recorders import LongerRecords, in_memory, outcome
 from support.memory_line import healthy, memory_settings
@@ -50,7 +51,7 @@ INTERVAL_S, FREED_AFTER_S, FREED_BEFORE_THE_START_S = 18.0, 25.0, 4.0
 """A disk that is freed only by a person takes nothing for longer than a set; one that keeps a recorder from
 starting only as long as no set is due."""
 TROUBLE_AFTER_S = 28.0
-DAMAGED = set_reference(SETS - 1, parse_utc("2026-01-01T00:00:00Z"))
+DAMAGED = set_reference(SetKey(SETS - 1), parse_utc("2026-01-01T00:00:00Z"))
 """A set's file without rows, as a disk may leave one; a start sets it aside."""
 CALLS = "open,write,fsync,rename,unlink,truncate,allocate,mkdir"
 

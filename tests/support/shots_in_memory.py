@@ -15,6 +15,4 @@ def shots_in_memory(records: Iterable[Record]) -> ShotsBySet:
         record.key.position: "pulse_echo" if isinstance(record, PulseEchoRecord) else "solitary_wave"
         for record in held
     }
-    return ShotsBySet(
-        positions, lambda set_index: [record for record in held if record.key.set_index == set_index]
-    )
+    return ShotsBySet(positions, lambda set_key: [record for record in held if record.key.set_key == set_key])

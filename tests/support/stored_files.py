@@ -9,7 +9,9 @@ from hardware_drivers.measurement import Waveform
 
 
 def set_files(folder: Path) -> dict[int, Path]:
-    return {index: folder / reference for index, reference in FolderSetReader(folder).sets().items()}
+    """Return the files of the scheduled sets by index."""
+    files = FolderSetReader(folder).sets().items()
+    return {key.set_index: folder / reference for key, reference in files if not key.unscheduled_index}
 
 
 def read_set(path: Path, *, skip_damaged: bool = False) -> SetRecord:

@@ -12,6 +12,7 @@ from pathlib import Path
 from daq_service.archive.journal.frames import HEADER, Frame, frames
 from daq_service.archive.journal.reader import JournaledSet, contents, segment_path, strays
 from daq_service.archive.records import JOURNAL_FOLDER, SETS_FOLDER, Damage, referenced_sets
+from hardware_drivers.measurement import SetKey
 
 _PAGE_BYTES = 4096
 
@@ -23,7 +24,7 @@ class CheckedJournal:
     Attributes
     ----------
     sets
-         Journaled sets by set index.
+         Journaled sets by key.
     damages
         Path of the segment, relative to the data folder, and the corruption.
     suspects
@@ -32,9 +33,9 @@ class CheckedJournal:
         Highest shot id of all frames, and upper limit of the number of lost frames.
     """
 
-    sets: Mapping[int, JournaledSet]
+    sets: Mapping[SetKey, JournaledSet]
     damages: list[tuple[str, Damage]]
-    suspects: frozenset[int] = frozenset()
+    suspects: frozenset[SetKey] = frozenset()
     last_sequence: int = -1
     n_lost: int = 0
     n_frames: int = 0
@@ -45,10 +46,10 @@ class CheckedJournal:
 class _Scan:
     """Frames of all segments, and byte ranges outside frames."""
 
-    sets: dict[int, JournaledSet] = field(default_factory=dict)
+    sets: dict[SetKey, JournaledSet] = field(default_factory=dict)
     unsound: list[tuple[str, Frame]] = field(default_factory=list)
     gaps: list[tuple[str, Damage]] = field(default_factory=list)
-    suspects: set[int] = field(default_factory=set)
+    suspects: set[SetKey] = field(default_factory=set)
     last_sequence: int = -1
     n_lost: int = 0
     n_frames: int = 0
@@ -56,22 +57,22 @@ class _Scan:
 
     def take(self, number: int, name: str, content: bytes) -> None:
         """Add a segment: consecutive frames, then zeros to its end."""
-        end_of_last, length, last_sets = 0, len(content.rstrip(b"\0")), set[int]()
+        end_of_last, length, last_sets = 0, len(content.rstrip(b"\0")), set[SetKey]()
         for frame in frames(content):
             if frame.start > end_of_last:
-                self._add_gap(name, end_of_last, frame.start, last_sets | {frame.set_index})
+                self._add_gap(name, end_of_last, frame.start, last_sets | {frame.set_key})
             if not frame.sound and not _is_torn(frame, length, len(content)):
                 self.unsound.append((name, frame))
-            self.sets.setdefault(frame.set_index, JournaledSet(set_index=frame.set_index)).take(frame, number)
+            self.sets.setdefault(frame.set_key, JournaledSet(set_key=frame.set_key)).take(frame, number)
             self.n_frames += 1
             self.last_sequence = max(self.last_sequence, frame.sequence)
-            end_of_last, last_sets = frame.end, {frame.set_index}
+            end_of_last, last_sets = frame.end, {frame.set_key}
         # A truncated header was never acknowledged; a complete one is followed by facts.
         if length - end_of_last >= HEADER.size:
             self._add_gap(name, end_of_last, length, last_sets)
         self.n_bytes += max(end_of_last, length)
 
-    def _add_gap(self, name: str, start: int, end: int, neighbors: set[int]) -> None:
+    def _add_gap(self, name: str, start: int, end: int, neighbors: set[SetKey]) -> None:
         """Add bytes that are no frame, and the sets of the frames around them."""
         self.suspects |= neighbors
         self.n_lost += 1 + (end - start) // HEADER.size
@@ -104,32 +105,32 @@ def check_journal(folder: Path) -> CheckedJournal:
     misnamed = Damage(reason="it holds frames, but its name is no segment's")
     damages += [(f"{JOURNAL_FOLDER}/{path.name}", misnamed) for path in strays(folder)]
     reported: set[int] = set()
-    for index, journaled in scan.sets.items():
-        if journaled.end is not None and index not in filed:
+    for set_key, journaled in scan.sets.items():
+        if journaled.end is not None and set_key not in filed:
             # If several segments share a set, the segment of a lost frame is unknown.
-            set_frames = [(name, frame) for name, frame in scan.unsound if frame.set_index == index]
+            set_frames = [(name, frame) for name, frame in scan.unsound if frame.set_key == set_key]
             segment_of = {frame.sequence: name for name, frame in set_frames}
             for damage in journaled.damages():
                 reported.add(damage.sequence or 0)
                 segment = segment_of.get(damage.sequence or 0, _segment_name(folder, min(journaled.segments)))
                 damages.append((segment, damage))
     for name, frame in scan.unsound:
-        journaled = scan.sets[frame.set_index]
+        journaled = scan.sets[frame.set_key]
         # Frames of a set with a file are not read any more; a failed write was repeated in another segment.
         if (
-            frame.set_index not in filed
+            frame.set_key not in filed
             and frame.sequence not in reported
             and frame.sequence not in journaled.shots
         ):
             shot = f"shot {frame.sequence}" if frame.sequence >= 0 else "a note"
-            location = f"byte {frame.start}, {shot} of set {frame.set_index}"
+            location = f"byte {frame.start}, {shot} of set {frame.set_key}"
             reason = f"the frame at {location}, does not match its checksum"
             damages.append((name, Damage(reason=reason, sequence=max(frame.sequence, 0) or None)))
-    suspects = {frame.set_index for _, frame in scan.unsound} | scan.suspects
+    suspects = {frame.set_key for _, frame in scan.unsound} | scan.suspects
     return CheckedJournal(
         sets=dict(sorted(scan.sets.items())),
         damages=damages,
-        suspects=frozenset(i for i in suspects if i not in filed and not scan.sets[i].is_whole),
+        suspects=frozenset(key for key in suspects if key not in filed and not scan.sets[key].is_whole),
         last_sequence=scan.last_sequence,
         n_lost=scan.n_lost,
         n_frames=scan.n_frames,

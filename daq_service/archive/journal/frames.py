@@ -18,12 +18,12 @@ import numpy as np
 import orjson
 
 from daq_service.archive.records import MissedRecord, SetRecord, waveform_crc32
-from hardware_drivers.measurement import Calibration, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
+from hardware_drivers.measurement import Calibration, PulseEchoRecord, SetKey, Shot, ShotKey, Stamp, Waveform
 
 MAGIC = b"SOLJ"
 VERSION = 1
 HEADER = struct.Struct("<4sBBHIIqqqqII")
-"""Magic, version, kind, bytes a count, bytes of facts, bytes of counts, set index, shot id (`Shot.sequence`;
+"""Magic, version, kind, bytes a count, bytes of facts, bytes of counts, `SetKey.number`, shot id (`sequence`;
 -1: no shot), utc_ns, mono_ns, CRC-32 of facts and of the CRC-32 of the counts, CRC-32 of all that."""
 _CRC = struct.Struct("<I")
 
@@ -59,7 +59,7 @@ class Frame:
     end: int
 
     kind: Kind
-    set_index: int
+    set_key: SetKey
     sequence: int
     utc_ns: int
     mono_ns: int
@@ -75,11 +75,11 @@ class Frame:
 
 
 def begin_frame(
-    set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+    set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
 ) -> Buffers:
     """Return the frame for the start of a set."""
     facts = {"due_utc_ns": due_utc_ns, "retired": dict(retired)}
-    return _frame(Kind.BEGIN, set_index, facts, utc_ns=started_utc_ns)
+    return _frame(Kind.BEGIN, set_key, facts, utc_ns=started_utc_ns)
 
 
 def record_frame(record: Shot | PulseEchoRecord) -> Buffers:
@@ -108,7 +108,7 @@ def record_frame(record: Shot | PulseEchoRecord) -> Buffers:
     counts = waveform.counts
     return _frame(
         Kind.ECHO if isinstance(record, PulseEchoRecord) else Kind.SHOT,
-        record.key.set_index,
+        record.key.set_key,
         facts,
         sequence=record.sequence,
         utc_ns=record.stamp.utc_ns,
@@ -123,7 +123,7 @@ def missed_frame(missed: MissedRecord, utc_ns: int) -> Buffers:
     """Return the frame of a strike or echo that left no record."""
     key = {"key": [missed.key.position, missed.key.shot_index, missed.key.attempt]}
     facts = {**key, "cause": missed.cause, "reason": missed.reason}
-    return _frame(Kind.MISSED, missed.key.set_index, facts, utc_ns=utc_ns)
+    return _frame(Kind.MISSED, missed.key.set_key, facts, utc_ns=utc_ns)
 
 
 def end_frame(record: SetRecord) -> Buffers:
@@ -155,17 +155,17 @@ def end_frame(record: SetRecord) -> Buffers:
             for item in record.records
         ],
     }
-    return _frame(Kind.END, record.set_index, facts, utc_ns=record.ended_utc_ns)
+    return _frame(Kind.END, record.set_key, facts, utc_ns=record.ended_utc_ns)
 
 
-def aside_frame(set_index: int) -> Buffers:
+def aside_frame(set_key: SetKey) -> Buffers:
     """Return the frame that discards the earlier frames of a set."""
-    return _frame(Kind.ASIDE, set_index, {}, utc_ns=0)
+    return _frame(Kind.ASIDE, set_key, {}, utc_ns=0)
 
 
 def _frame(
     kind: Kind,
-    set_index: int,
+    set_key: SetKey,
     facts: Mapping[str, Any],
     *,
     utc_ns: int,
@@ -182,7 +182,7 @@ def _frame(
         text = json.dumps(facts).encode()
     lengths = (width, len(text), len(counts))
     body = _body_crc32(text, counts_crc32)
-    fields = (MAGIC, VERSION, kind, *lengths, set_index, sequence, utc_ns, mono_ns, body)
+    fields = (MAGIC, VERSION, kind, *lengths, set_key.number, sequence, utc_ns, mono_ns, body)
     head = HEADER.pack(*fields, 0)[: -_CRC.size]
     return head + _CRC.pack(zlib.crc32(head)) + text, counts
 
@@ -193,12 +193,12 @@ def _body_crc32(facts: bytes, counts_crc32: int) -> int:
     return zlib.crc32(_CRC.pack(counts_crc32), zlib.crc32(facts))
 
 
-def frames(content: bytes, *, of_set: int | None = None) -> Iterator[Frame]:
+def frames(content: bytes, *, of_set: SetKey | None = None) -> Iterator[Frame]:
     """Yield every frame of a segment, or those of one set; skip bytes that are no frame."""
     view, offset = memoryview(content), 0
     # Searching one byte is far faster than four in the zeros at the end of a segment.
     while (offset := content.find(MAGIC[:1], offset)) >= 0 and offset + HEADER.size <= len(content):
-        magic, version, kind, width, n_facts, n_counts, set_index, sequence, utc_ns, mono_ns, body, crc32 = (
+        magic, version, kind, width, n_facts, n_counts, set_number, sequence, utc_ns, mono_ns, body, crc32 = (
             HEADER.unpack_from(view, offset)
         )
         start = offset + HEADER.size
@@ -207,7 +207,7 @@ def frames(content: bytes, *, of_set: int | None = None) -> Iterator[Frame]:
         if not known or zlib.crc32(view[offset : start - _CRC.size]) != crc32:
             offset += 1
             continue
-        if of_set is not None and set_index != of_set:
+        if of_set is not None and set_number != of_set.number:
             offset = end
             continue
         facts, counts = bytes(view[start : start + n_facts]), bytes(view[start + n_facts : end])
@@ -216,7 +216,7 @@ def frames(content: bytes, *, of_set: int | None = None) -> Iterator[Frame]:
             start=offset,
             end=end,
             kind=Kind(kind),
-            set_index=set_index,
+            set_key=SetKey.of_number(set_number),
             sequence=sequence,
             utc_ns=utc_ns,
             mono_ns=mono_ns,
@@ -236,7 +236,7 @@ def record_of(frame: Frame) -> Shot | PulseEchoRecord:
     calibration = facts["calibration"]
     common: dict[str, Any] = {
         "sequence": frame.sequence,
-        "key": ShotKey(position=position, set_index=frame.set_index, shot_index=shot_index, attempt=attempt),
+        "key": ShotKey.in_set(frame.set_key, position, shot_index, attempt),
         "stamp": Stamp(utc_ns=frame.utc_ns, mono_ns=frame.mono_ns, boot_id=facts["boot_id"]),
         "waveform": Waveform(
             counts=np.frombuffer(frame.counts, dtype=f"<i{frame.width}"),
@@ -256,5 +256,5 @@ def missed_of(frame: Frame) -> MissedRecord:
     """Return the missed record of a sound frame."""
     facts = frame.read_facts()
     position, shot_index, attempt = facts["key"]
-    key = ShotKey(position=position, set_index=frame.set_index, shot_index=shot_index, attempt=attempt)
+    key = ShotKey.in_set(frame.set_key, position, shot_index, attempt)
     return MissedRecord(key=key, cause=facts["cause"], reason=facts["reason"])

@@ -21,7 +21,7 @@ from daq_service.archive.records import (
     set_reference,
 )
 from daq_service.shared_file import read_shared
-from hardware_drivers.measurement import PulseEchoRecord, Shot, ShotKey
+from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, ShotKey
 
 _NAME = re.compile(r"(\d{6,})\.journal")
 
@@ -40,7 +40,7 @@ class JournaledSet:
         Numbers of the segments that hold its frames.
     """
 
-    set_index: int
+    set_key: SetKey
     begin: Frame | None = None
     shots: dict[int, Frame] = field(default_factory=dict)
     missed: dict[ShotKey, MissedRecord] = field(default_factory=dict)
@@ -72,7 +72,7 @@ class JournaledSet:
     @property
     def reference(self) -> SetReference | None:
         """Reference of its future file; None before its end."""
-        return None if self.end is None else set_reference(self.set_index, self.end["due_utc_ns"])
+        return None if self.end is None else set_reference(self.set_key, self.end["due_utc_ns"])
 
     @property
     def is_whole(self) -> bool:
@@ -121,11 +121,12 @@ class JournaledSet:
         sequences = [sequence for sequence, *_ in end["records"] if sequence in self.shots]
         records = [record_of(self.shots[sequence]) for sequence in sequences]
         return SetRecord(
-            set_index=self.set_index,
+            set_index=self.set_key.set_index,
+            unscheduled_index=self.set_key.unscheduled_index,
             positions=[PositionRecord(**position) for position in end["positions"]],
             shots=[item for item in records if isinstance(item, Shot)],
             echoes=[item for item in records if isinstance(item, PulseEchoRecord)],
-            missed=[_missed_record(item) for item in end["missed"]],
+            missed=[_missed_record(self.set_key, item) for item in end["missed"]],
             outcomes={sequence: text for sequence, text in end["outcomes"] if sequence in sequences},
             **{name: end[name] for name in _PLAIN},
         )
@@ -143,7 +144,7 @@ class JournaledSet:
         else:
             return None
         return OpenSet(
-            set_index=self.set_index,
+            set_key=self.set_key,
             due_utc_ns=facts["due_utc_ns"],
             started_utc_ns=facts["started_utc_ns"],
             last_utc_ns=self.last_utc_ns,
@@ -160,9 +161,9 @@ _PLAIN = (
 )
 
 
-def _missed_record(facts: Mapping[str, Any]) -> MissedRecord:
+def _missed_record(set_key: SetKey, facts: Mapping[str, Any]) -> MissedRecord:
     """Return the missed record of an end frame's entry."""
-    key = ShotKey(**{name: facts[name] for name in ("position", "set_index", "shot_index", "attempt")})
+    key = ShotKey.in_set(set_key, facts["position"], facts["shot_index"], facts["attempt"])
     return MissedRecord(key=key, cause=facts["cause"], reason=facts["reason"])
 
 
@@ -189,9 +190,9 @@ def segment_path(folder: Path, number: int) -> Path:
 
 
 def read_journal(
-    folder: Path, *, of_set: int | None = None, places: Places | None = None
-) -> dict[int, JournaledSet]:
-    """Read all segments and return the journaled sets by set index, in the order of the sets.
+    folder: Path, *, of_set: SetKey | None = None, places: Places | None = None
+) -> dict[SetKey, JournaledSet]:
+    """Read all segments and return the journaled sets by key, in the order of the sets.
 
     A segment that disappears meanwhile has left its sets in files of their own.
 
@@ -207,10 +208,10 @@ def read_journal(
     OSError
         A segment cannot be read.
     """
-    journaled: dict[int, JournaledSet] = {}
+    journaled: dict[SetKey, JournaledSet] = {}
     for number, content in contents(folder, places):
         for frame in frames(content, of_set=of_set):
-            journaled.setdefault(frame.set_index, JournaledSet(set_index=frame.set_index)).take(frame, number)
+            journaled.setdefault(frame.set_key, JournaledSet(set_key=frame.set_key)).take(frame, number)
     return dict(sorted(journaled.items()))
 
 

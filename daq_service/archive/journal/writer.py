@@ -30,7 +30,7 @@ from daq_service.shared_file import (
     write_all,
     write_durably,
 )
-from hardware_drivers.measurement import PulseEchoRecord, Shot
+from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot
 
 log = logging.getLogger(__name__)
 
@@ -50,7 +50,7 @@ class Journal:
     Attributes
     ----------
     left, damage
-        Sets found when the journal was opened, by set index, and their corruption.
+        Sets found when the journal was opened, by key, and their corruption.
 
     Raises
     ------
@@ -62,20 +62,20 @@ class Journal:
         self._folder, self._segment_bytes = folder, segment_bytes
         renamed = self._rename_strays()
         checked = check_journal(folder)
-        self.left: dict[int, JournaledSet] = dict(checked.sets)
+        self.left: dict[SetKey, JournaledSet] = dict(checked.sets)
         self.damage = self._copy_damaged(checked, renamed)
-        self._sets_in: dict[int, dict[int, tuple[int, int | None]]] = {
+        self._sets_in: dict[int, dict[SetKey, tuple[int, int | None]]] = {
             number: {} for number in segments(folder)
         }
         for item in self.left.values():
             for number in item.segments:
-                self._sets_in.setdefault(number, {})[item.set_index] = 0, None
+                self._sets_in.setdefault(number, {})[item.set_key] = 0, None
         self._number = max(self._sets_in, default=0)
         self._descriptor: int | None = None
         self._room = self._end = 0
         self._pending: list[Buffers] = []
         self._unacknowledged: list[int] = []
-        self._pending_sets: set[int] = set()
+        self._pending_sets: set[SetKey] = set()
 
     def _rename_strays(self) -> dict[str, str]:
         """Rename files with corrupt names to segments; return the former name of each."""
@@ -116,30 +116,30 @@ class Journal:
         return f"{QUARANTINE_FOLDER}/{copy.name}"
 
     def begin(
-        self, set_index: int, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+        self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
     ) -> None:
         """Add the start of a set; durable with the next sync."""
-        frame = begin_frame(set_index, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired)
-        self._add(set_index, frame)
+        frame = begin_frame(set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired)
+        self._add(set_key, frame)
 
     def append(self, record: Shot | PulseEchoRecord) -> None:
         """Add a record; acknowledged by the next sync."""
-        self._add(record.key.set_index, record_frame(record))
+        self._add(record.key.set_key, record_frame(record))
         self._unacknowledged.append(record.sequence)
 
     def append_missed(self, missed: MissedRecord, utc_ns: int) -> None:
         """Add a strike or echo that left no record."""
-        self._add(missed.key.set_index, missed_frame(missed, utc_ns))
+        self._add(missed.key.set_key, missed_frame(missed, utc_ns))
 
-    def end(self, set_index: int, frame: Buffers) -> None:
+    def end(self, set_key: SetKey, frame: Buffers) -> None:
         """Add the end of a complete set (`frames.end_frame`); durable with the next sync."""
-        self._add(set_index, frame)
+        self._add(set_key, frame)
 
-    def _add(self, set_index: int, frame: Buffers) -> None:
+    def _add(self, set_key: SetKey, frame: Buffers) -> None:
         self._pending.append(frame)
-        self._pending_sets.add(set_index)
+        self._pending_sets.add(set_key)
 
-    def set_aside(self, set_index: int, name: str) -> None:
+    def set_aside(self, set_key: SetKey, name: str) -> None:
         """Copy the segments of a set to the quarantine under its name; the set may then start again.
 
         Raises
@@ -147,12 +147,12 @@ class Journal:
         OSError
             It stays as it is.
         """
-        item = read_journal(self._folder, of_set=set_index)[set_index]
+        item = read_journal(self._folder, of_set=set_key)[set_key]
         for number in item.segments:
             self._copy_aside(number, f"{name}.{number:06d}.journal")
-        self._add(set_index, aside_frame(set_index))
+        self._add(set_key, aside_frame(set_key))
         self.sync()
-        self.settle(set_index)
+        self.settle(set_key)
 
     def sync(self) -> list[int]:
         """Make all added frames durable; return the ids of the acknowledged shots.
@@ -193,8 +193,8 @@ class Journal:
         synchronise(self._descriptor)
         first, self._end = self._end, self._end + n_bytes
         places = self._sets_in[self._number]
-        for set_index in self._pending_sets:
-            places[set_index] = places.get(set_index, (first, None))[0], self._end
+        for set_key in self._pending_sets:
+            places[set_key] = places.get(set_key, (first, None))[0], self._end
         self._room -= n_bytes
 
     def _open_segment(self, n_bytes: int) -> None:
@@ -224,15 +224,15 @@ class Journal:
         if not self._sets_in[self._number]:  # else a failing disk would be filled with empty segments
             self._drop(self._number)
 
-    def places(self, set_index: int) -> Places:
+    def places(self, set_key: SetKey) -> Places:
         """Return the byte ranges of a set's durable frames by segment."""
-        return {number: sets[set_index] for number, sets in self._sets_in.items() if set_index in sets}
+        return {number: sets[set_key] for number, sets in self._sets_in.items() if set_key in sets}
 
-    def settle(self, set_index: int) -> None:
+    def settle(self, set_key: SetKey) -> None:
         """Remove a set that has its own file, or rows and no record; remove segments without other sets."""
-        self.left.pop(set_index, None)
+        self.left.pop(set_key, None)
         for number, indices in list(self._sets_in.items()):
-            indices.pop(set_index, None)
+            indices.pop(set_key, None)
             if not indices and (number != self._number or self._descriptor is None):
                 self._drop(number)
 

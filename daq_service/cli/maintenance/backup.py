@@ -201,13 +201,13 @@ def _copy_sets(
 ) -> None:
     """Copy new files of sets; corrupt ones go to the quarantine."""
     files = referenced_sets(path.name for path in (folder / SETS_FOLDER).glob("*.h5"))
-    for number, (index, file) in enumerate(files.items()):
+    for number, (set_key, file) in enumerate(files.items()):
         progress(number, len(files))
         source, target = folder / file, destination / file
         if target.exists() and target.stat().st_size == source.stat().st_size:
             copied.present += 1
             continue
-        checked = check_file(source, sha256=expected_sha256(catalogue.of_set("sets", index), file))
+        checked = check_file(source, sha256=expected_sha256(catalogue.of_set("sets", set_key), file))
         if checked.touched or checked.damages:
             description = f"{checked.damages[0] if checked.damages else 'its SHA-256 differs'}; {BACK}"
             copied.damage.append(Finding("set_unreadable", file, description))

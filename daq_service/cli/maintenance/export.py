@@ -39,6 +39,7 @@ from daq_service.errors import StorageError, UsageError
 from daq_service.processes.data_folder import OWN_NAMES
 from daq_service.processes.lost_catalogue import lost_reason
 from daq_service.shared_file import write_output
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import PULSE_ECHO
 
 _SETS_AT_ONCE = 500
@@ -48,7 +49,17 @@ _OF_A_SET = (
     *("due_h", "due_utc_ns", "state", "cause"),
     *("n_planned", "n_taken", "n_valid", "n_missed", "n_restrikes"),
 )
-_NO_RESULT = ("id", "set_index", "position", "shot_index", "sequence", "due_h", "n_valid", "baseline_id")
+_NO_RESULT = (
+    "id",
+    "set_index",
+    "unscheduled_index",
+    "position",
+    "shot_index",
+    "sequence",
+    "due_h",
+    "n_valid",
+    "baseline_id",
+)
 """Columns that results share with what they belong to."""
 
 
@@ -100,9 +111,7 @@ def export_hdf5(
         experiment = catalogue.experiment_row()
         positions = sorted(experiment.configuration["positions"])
         rows = {name: catalogue.rows(SetRow, position=name) for name in positions}
-        files = {
-            row.set_index: SetReference(row.file) for found in rows.values() for row in found if row.file
-        }
+        files = {row.set_key: SetReference(row.file) for found in rows.values() for row in found if row.file}
         blocks, waiting, left_out = _blocks(folder, files, progress)
         if not blocks:
             raise StorageError(
@@ -163,18 +172,18 @@ def refuse_target(folder: Path, target: Path, *, overwrite: bool) -> None:
 
 
 def _blocks(
-    folder: Path, files: Mapping[int, SetReference], progress: Callable[[int, int], None]
+    folder: Path, files: Mapping[SetKey, SetReference], progress: Callable[[int, int], None]
 ) -> tuple[dict[Sampling, list[Block]], int, dict[str, str]]:
     """Return the arrays of all files, the number of sets without a file, and unreadable files."""
     blocks, waiting, left_out = dict[Sampling, list[Block]](), 0, dict[str, str]()
     journaled = FolderSetReader(folder).sets()
-    for number, (index, file) in enumerate(sorted(files.items())):
+    for number, (set_key, file) in enumerate(sorted(files.items())):
         progress(number, len(files))
         try:
             for sampling, block in blocks_of(folder, file):
                 blocks.setdefault(sampling, []).append(block)
         except SetNotFoundError as error:
-            if index in journaled:
+            if set_key in journaled:
                 waiting += 1
             else:
                 left_out[file] = str(error)
@@ -193,12 +202,12 @@ def _shot_columns(
     parts = []
     for start in range(0, len(blocks), _SETS_AT_ONCE):
         step, at = blocks[start : start + _SETS_AT_ONCE], sampling.position
-        first, last = step[0].set_index, step[-1].set_index
+        first, last = step[0].set_key.set_index, step[-1].set_key.set_index
         found = catalogue.rows(ShotRow, position=at, first_set=first, last_set=last)
         shots = {row.sequence: row for row in found}
         results_found = catalogue.rows(kind, position=at, first_set=first, last_set=last)
         results = {row.sequence: row for row in results_found}
-        of_set = [(shot_id, block.set_index) for block in step for shot_id in block.shot_ids]
+        of_set = [(shot_id, block.set_key.set_index) for block in step for shot_id in block.shot_ids]
         ids = [shot_id for shot_id, _ in of_set]
         parts.append(
             {

@@ -21,6 +21,7 @@ from daq_service.catalogue.verification import UnchangedCatalogue
 from daq_service.cli.maintenance.rows import RowsOfSet, differing
 from daq_service.cli.maintenance.verify import TABLES, Report, expected_sha256
 from daq_service.shared_file import read_shared, remove_quietly, write_durably
+from hardware_drivers.measurement import SetKey
 
 log = logging.getLogger(__name__)
 
@@ -73,14 +74,14 @@ def _left_over(folder: Path) -> Iterator[Step]:
 
 
 def _of_file(
-    folder: Path, file: SetReference, journal: Mapping[int, JournaledSet], backup: Path | None
+    folder: Path, file: SetReference, journal: Mapping[SetKey, JournaledSet], backup: Path | None
 ) -> Step:
     """Return the step for a corrupt or missing file of a set."""
-    ((index, _),) = referenced_sets([Path(file).name]).items()
-    journaled = journal.get(index)
+    ((set_key, _),) = referenced_sets([Path(file).name]).items()
+    journaled = journal.get(set_key)
     if journaled is not None and journaled.is_whole and journaled.reference == file:
         return Step(does="from_journal", file=file, why="the journal still has every record of the set")
-    rows = _rows(folder, index)
+    rows = _rows(folder, set_key)
     if backup is not None:
         objection = _objection(backup, file, rows)
         if not objection:
@@ -97,22 +98,22 @@ def _of_file(
     )
 
 
-def _rows(folder: Path, index: int) -> RowsOfSet | None:
+def _rows(folder: Path, set_key: SetKey) -> RowsOfSet | None:
     """Read the rows of a set; None if the catalogue is unreadable."""
     try:
         with UnchangedCatalogue(folder) as catalogue:
-            return RowsOfSet(**{table: catalogue.of_set(table, index) for table in TABLES})
+            return RowsOfSet(**{table: catalogue.of_set(table, set_key) for table in TABLES})
     except CatalogueError:  # reported as a separate finding
         return None
 
 
-def _results(folder: Path, index: int) -> Results:
+def _results(folder: Path, set_key: SetKey) -> Results:
     """Return the results for the file; none without a catalogue."""
     try:
         with open_catalogue(folder) as catalogue:
-            return results_in(catalogue, index)
+            return results_in(catalogue, set_key)
     except CatalogueError as error:
-        log.warning("set %d gets a file without its results: %s", index, error)
+        log.warning("set %s gets a file without its results: %s", set_key, error)
         return {}
 
 
@@ -143,8 +144,8 @@ def carry_out(folder: Path, step: Step, backup: Path | None) -> None:
     elif step.does != "nothing" and path.exists():
         move_aside(folder, file)
     if step.does == "from_journal":
-        ((index, _),) = referenced_sets([path.name]).items()
-        compact_set(folder, index, results=_results(folder, index))
+        ((set_key, _),) = referenced_sets([path.name]).items()
+        compact_set(folder, set_key, results=_results(folder, set_key))
     elif step.does == "from_backup":
         assert backup is not None, "a plan with a backup's file has a backup"
         path.parent.mkdir(exist_ok=True)

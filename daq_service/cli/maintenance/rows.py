@@ -49,7 +49,7 @@ def differing(
     for position in record.positions:
         taken = [item for item in record.records if item.key.position == position.position]
         row = of_position.pop(position.position, None)
-        where = f"sets, set {record.set_index} of {position.position}"
+        where = f"sets, set {record.set_key} of {position.position}"
         if row is None:
             yield None, f"{where}: there is no row"
         elif not lost:
@@ -74,7 +74,7 @@ def differing(
             yield None, f"{where}: {difference}"
     for name, row in of_position.items():
         if row["n_taken"] or row["file"] is not None:
-            yield None, f"sets, set {record.set_index} of {name}: the file has no such position"
+            yield None, f"sets, set {record.set_key} of {name}: the file has no such position"
     yield from _shots(rows.shots, record, lost)
     if record.results and not lost:
         copy = results_of(
@@ -83,7 +83,7 @@ def differing(
             [_as_row(ShotRow, {**row, "flags": _flags(row)}) for row in rows.shots],
         )
         for difference in results_differ(record.results, copy):
-            yield None, f"set {record.set_index}, {difference}"
+            yield None, f"set {record.set_key}, {difference}"
 
 
 def _as_row(kind: type[R], row: Found) -> R:

@@ -22,7 +22,7 @@ from daq_service.archive.records import (
     TEMPORARY_SUFFIX,
     due_utc_ns,
     referenced_sets,
-    set_indices,
+    set_keys,
 )
 from daq_service.archive.verification import check_file
 from daq_service.catalogue.connection import FILE_NAME
@@ -38,7 +38,7 @@ from daq_service.processes.data_folder import CACHES, is_owned
 from daq_service.processes.notifications.delivery_log import LOG_FILE
 from daq_service.processes.recorder_state import FAREWELLS
 from daq_service.shared_file import read_shared
-from hardware_drivers.measurement import PLANNED_SETS, in_order
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 DamageKind = Literal[
@@ -143,7 +143,7 @@ class FolderCheck:
     folder: Path
     catalogue: UnchangedCatalogue | None
     experiment: Found | None = None
-    sets_with_rows: frozenset[int] = frozenset()
+    sets_with_rows: frozenset[SetKey] = frozenset()
     journal: CheckedJournal = field(default_factory=lambda: CheckedJournal(sets={}, damages=[]))
     checked: Counter[str] = field(default_factory=Counter)
     unreadable: set[str] = field(default_factory=set)
@@ -253,22 +253,22 @@ def check_sets(state: FolderCheck) -> Iterator[Finding]:
     paths = sorted(path for path in (state.folder / SETS_FOLDER).glob("*.h5") if referenced_sets([path.name]))
     for number, path in enumerate(paths):
         state.progress(number, len(paths))
-        ((index, reference),) = referenced_sets([path.name]).items()
-        yield from _check_file(state, index, reference)
+        ((set_key, reference),) = referenced_sets([path.name]).items()
+        yield from _check_file(state, set_key, reference)
     state.progress(len(paths), len(paths))
-    for index, item in state.journal.sets.items():
+    for set_key, item in state.journal.sets.items():
         file = item.reference
         if file is None or (state.folder / file).exists():
             continue
         state.checked["sets_in_journal"] += 1
         if item.has_records:
             lost = frozenset(damage.sequence or 0 for damage in item.damages())
-            yield from _compare(state, _rows_of(state, index), index, file, item.record(), lost)
+            yield from _compare(state, _rows_of(state, set_key), file, item.record(), lost)
 
 
-def _check_file(state: FolderCheck, index: int, reference: SetReference) -> Iterator[Finding]:
+def _check_file(state: FolderCheck, set_key: SetKey, reference: SetReference) -> Iterator[Finding]:
     """Check the file of a set and compare it with its rows."""
-    rows = _rows_of(state, index)
+    rows = _rows_of(state, set_key)
     sha256 = None if rows is None else expected_sha256(rows.sets, reference)
     try:
         found = check_file(state.folder / reference, sha256=sha256)
@@ -287,7 +287,7 @@ def _check_file(state: FolderCheck, index: int, reference: SetReference) -> Iter
     if found.record is not None:
         state.checked["shots"] += len(found.record.records)
         lost = frozenset(damage.sequence for damage in found.damages if damage.sequence is not None)
-        yield from _compare(state, rows, index, reference, found.record, lost)
+        yield from _compare(state, rows, reference, found.record, lost)
 
 
 def expected_sha256(rows: Sequence[Found], reference: SetReference) -> str | None:
@@ -295,12 +295,12 @@ def expected_sha256(rows: Sequence[Found], reference: SetReference) -> str | Non
     return next((row.get("file_sha256") for row in rows if row["file"] == reference), None)
 
 
-def _rows_of(state: FolderCheck, index: int) -> RowsOfSet | None:
+def _rows_of(state: FolderCheck, set_key: SetKey) -> RowsOfSet | None:
     """Read the rows of a set; None if the catalogue is unreadable, which is reported once."""
     if state.catalogue is None:
         return None
     try:
-        return RowsOfSet(**{table: state.catalogue.of_set(table, index) for table in TABLES})
+        return RowsOfSet(**{table: state.catalogue.of_set(table, set_key) for table in TABLES})
     except CatalogueDamagedError as error:
         state.unreadable.add(str(error))
         return None
@@ -309,16 +309,15 @@ def _rows_of(state: FolderCheck, index: int) -> RowsOfSet | None:
 def _compare(
     state: FolderCheck,
     rows: RowsOfSet | None,
-    index: int,
     reference: SetReference,
     record: SetRecord,
     lost: frozenset[int],
 ) -> Iterator[Finding]:
     """Compare a set with its rows."""
-    named, due_s = set_indices([reference.rpartition("/")[2]]), record.due_utc_ns // NS_PER_S
-    if (named, due_utc_ns(reference)) != ({record.set_index}, due_s * NS_PER_S):
+    named, due_s = set_keys([reference.rpartition("/")[2]]), record.due_utc_ns // NS_PER_S
+    if (named, due_utc_ns(reference)) != ({record.set_key}, due_s * NS_PER_S):
         description = (
-            f"it holds set {record.set_index} of {format_utc(record.due_utc_ns)}: somebody gave it this name"
+            f"it holds set {record.set_key} of {format_utc(record.due_utc_ns)}: somebody gave it this name"
         )
         yield Finding("metadata", reference, f"{description}; {BACK}")
         return
@@ -338,7 +337,7 @@ def _compare(
     if rows.sets:
         for shot_id, description in differing(rows, record, reference, lost):
             yield Finding("row", FILE_NAME, f"{description}; {MADE_AGAIN}", shot_id)
-    elif in_order(index)[0] < max((i for i in state.sets_with_rows if i < PLANNED_SETS), default=0):
+    elif record.set_index < max((key.set_index for key in state.sets_with_rows), default=0):
         description = (
             f"it has no rows, though later sets have: the recorder's next start makes them, or {MADE_AGAIN}"
         )
@@ -349,11 +348,11 @@ def _compare(
 
 def check_references(state: FolderCheck) -> Iterator[Finding]:
     """Check that every set with rows is a file or in the journal."""
-    for index in sorted(state.sets_with_rows):
-        rows = _rows_of(state, index)
+    for set_key in sorted(state.sets_with_rows):
+        rows = _rows_of(state, set_key)
         files = {row["file"] for row in rows.sets if isinstance(row["file"], str)} if rows else set()
         state.checked["sets_with_rows"] += 1
-        journaled = state.journal.sets.get(index)
+        journaled = state.journal.sets.get(set_key)
         for file in sorted(files):
             if not (state.folder / file).exists() and (journaled is None or journaled.reference != file):
                 yield Finding("set_missing", file, f"{NOWHERE}; {BACK}")
@@ -398,10 +397,7 @@ def verify_folder(folder: Path, progress: Callable[[int, int], None] = lambda do
         try:
             state.catalogue = stack.enter_context(UnchangedCatalogue(folder))
             state.experiment = state.catalogue.experiment()
-            # A corrupt page may return other types.
-            state.sets_with_rows = frozenset(
-                index for index in state.catalogue.set_indices() if isinstance(index, int)
-            )
+            state.sets_with_rows = frozenset(state.catalogue.set_keys())
         except NoDataYetError:
             pass
         except CatalogueDamagedError as error:

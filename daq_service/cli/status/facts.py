@@ -185,7 +185,7 @@ def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -
     newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
     last = None
     if newest is not None:
-        assessments = catalogue.rows(AssessmentRow, position=newest.position, set_index=newest.set_index)
+        assessments = catalogue.rows(AssessmentRow, position=newest.position, **newest.set_key._asdict())
         result = asdict(summarize_confirmation(newest, assessments[0] if assessments else None))
         last = {"position": newest.position, **result, "age_h": fresh.age_h(newest.due_h)}
     requested, maximum = read_confirmations(catalogue), settings.alarms.confirmation_sets_a_day

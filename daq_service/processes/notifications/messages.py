@@ -16,6 +16,7 @@ from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.states import PRIORITIES
 from daq_service.catalogue.rows import EventRow, ExperimentRow
 from daq_service.clock import format_utc
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 MOST_LISTED = 20
@@ -61,7 +62,13 @@ class AlarmChange:
     changed_utc_ns: int
     raised_h: float
     set_index: int | None
+    unscheduled_index: int
     evidence: str
+
+    @property
+    def set_key(self) -> SetKey | None:
+        """Return the key of the set with which the alarm was raised; None without one."""
+        return None if self.set_index is None else SetKey(self.set_index, self.unscheduled_index)
 
 
 def alarm_change_of(event: EventRow) -> AlarmChange | None:
@@ -84,6 +91,7 @@ def alarm_change_of(event: EventRow) -> AlarmChange | None:
         changed_utc_ns=event.utc_ns,
         raised_h=payload["raised_h"],
         set_index=payload["raised_set_index"],
+        unscheduled_index=payload.get("raised_unscheduled_index", 0),
         evidence=next(iter(describe_evidence(payload["kind"], payload.get("evidence") or {})), ""),
     )
 
@@ -225,7 +233,7 @@ def _counts_text(changes: Sequence[AlarmChange]) -> str:
 
 def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int) -> dict[str, object]:
     age_s = max(0.0, (now_ns - item.wall_utc_ns) / NS_PER_S)
-    at_set = "" if item.set_index is None else f", set {item.set_index}, quality {quality or 'unknown'}"
+    at_set = "" if item.set_key is None else f", set {item.set_key}, quality {quality or 'unknown'}"
     sentences = [
         f"{_headline(item)}: {item.message.rstrip('.')}.",
         f"First raised at hour {item.raised_h:.2f} of the test{at_set}.",
@@ -249,7 +257,7 @@ def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int
 def _link(test: Test, item: AlarmChange) -> str | None:
     if not test.page:
         return None
-    view = {"position": item.position, "set": item.set_index}
+    view = {"position": item.position, "set": item.set_key}
     query = urlencode({name: value for name, value in view.items() if value is not None and item.position})
     return f"{test.page}?{query}" if query else test.page
 

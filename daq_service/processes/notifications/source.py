@@ -74,10 +74,14 @@ class Source:
         qualities: dict[int, str] = {}
         for item in changes:
             settings = self._settings.positions.get(item.position or "")
-            if settings is None or item.set_index is None:
+            if settings is None or item.set_key is None:
                 continue
             kind = MEASURED_BY[settings.method]
-            filters: Filters = {"position": item.position, "set_index": item.set_index}
+            filters: Filters = {
+                "position": item.position,
+                "set_index": item.set_index,
+                "unscheduled_index": item.unscheduled_index,
+            }
             if kind is FeatureRow:
                 filters["scope"] = "set"
             rows = self._catalogue().rows(kind, limit=1, **filters)

@@ -23,7 +23,6 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     values,
 )
-from hardware_drivers.measurement import in_order
 from hardware_drivers.nanoseconds import NS_PER_H
 
 ONSETS = ("alarm_raised", "alarm_reactivated")
@@ -102,7 +101,7 @@ def onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onset]:
         )
         for event in catalogue.rows(EventRow, topic="alarms")
         if event.kind in ONSETS and event.position is not None and event.set_index is not None
-        if up_to_set is None or in_order(event.set_index) <= in_order(up_to_set)
+        if up_to_set is None or event.set_index <= up_to_set
     ]
 
 
@@ -186,7 +185,7 @@ def _rows(
     rows: list[Any] = catalogue.rows(kind, position=position, scope="set" if kind is FeatureRow else None)
     for row in rows:
         set_index = row.last_set_index if kind is BaselineRow else row.set_index
-        if up_to_set is not None and in_order(set_index) > in_order(up_to_set):
+        if up_to_set is not None and set_index > up_to_set:
             continue
         key = baselines[row.position] if kind is BaselineRow else set_index
         baselines[row.position] += 1

@@ -11,7 +11,7 @@ from daq_service.archive import SetRecord, SetReference
 from daq_service.errors import SolimonError
 from daq_service.processes.executors import worker_lost
 from daq_service.recording.reassessment.reassess import extracted_features
-from hardware_drivers.measurement import Shot, ShotKey, Stamp, Waveform
+from hardware_drivers.measurement import SetKey, Shot, ShotKey, Stamp, Waveform
 
 SETS_AHEAD = 2
 """Sets ahead per worker: no worker waits, and memory holds few records."""
@@ -37,7 +37,7 @@ class ExtractedAhead:
     _under_way: dict[SetReference, tuple[SetRecord, Future[dict[int, ShotFeatures]]]] = field(
         default_factory=dict
     )
-    _of_set: dict[int, Future[dict[int, ShotFeatures]]] = field(default_factory=dict)
+    _of_set: dict[SetKey, Future[dict[int, ShotFeatures]]] = field(default_factory=dict)
 
     def read_set(self, reference: SetReference) -> SetRecord:
         """Return a set's record; `features` must be called next."""
@@ -48,7 +48,7 @@ class ExtractedAhead:
         if reference not in self._under_way:
             self._begin(reference)
         record, future = self._under_way.pop(reference)
-        self._of_set[record.set_index] = future
+        self._of_set[record.set_key] = future
         return record
 
     def _begin(self, reference: SetReference) -> None:
@@ -62,7 +62,7 @@ class ExtractedAhead:
     def features(self, record: SetRecord) -> Mapping[int, ShotFeatures]:
         """Wait for the features of a set that was read."""
         try:
-            return self._of_set.pop(record.set_index).result()
+            return self._of_set.pop(record.set_key).result()
         except worker_lost() as error:
             raise SolimonError(
                 "workers ended by themselves again and again (killed, or out of memory); choose fewer "

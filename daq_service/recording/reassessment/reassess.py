@@ -38,7 +38,7 @@ from daq_service.recording.reassessment.changes import LIFE
 from daq_service.recording.reassessment.stored_runs import Progress, repeat_action, row_of, runs_of
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import PLANNED_SETS, Shot, in_order
+from hardware_drivers.measurement import SetKey, Shot
 from hardware_drivers.nanoseconds import NS_PER_H
 
 FeaturesOfSet = Callable[[SetRecord], Mapping[int, ShotFeatures]]
@@ -63,11 +63,11 @@ def stored_features(catalogue: Catalogue, record: SetRecord) -> dict[int, ShotFe
     flags = {
         row.sequence: tuple(row.flags)
         for place in places
-        for row in catalogue.rows(ShotRow, position=place, set_index=record.set_index)
+        for row in catalogue.rows(ShotRow, position=place, **record.set_key._asdict())
     }
     found = {
         row.sequence: _as_extracted(row, flags.get(row.sequence, ()))
-        for row in catalogue.rows(FeatureRow, set_index=record.set_index, scope="shot")
+        for row in catalogue.rows(FeatureRow, **record.set_key._asdict(), scope="shot")
         if row.sequence is not None
     }
     return {shot.sequence: found.get(shot.sequence) or features_of(shot) for shot in record.shots}
@@ -113,7 +113,7 @@ def assess_again(
     Returns
     -------
     set of int
-        Indices of the assessed sets.
+        Indices of the assessed scheduled sets.
 
     Raises
     ------
@@ -148,34 +148,25 @@ class _Reassessment:
     def run(self, up_to_set: int | None, progress: Progress) -> set[int]:
         """Reassess the sets in their order and return their indices."""
         events = self._stored.rows(EventRow, topics=("sets", "alarms", "assessments"))
-        last = None if up_to_set is None else in_order(up_to_set)
-        total = len(
-            {
-                event.set_index
-                for event in events
-                if event.topic == "sets"
-                and event.set_index is not None
-                and (last is None or in_order(event.set_index) <= last)
-            }
-        )
-        done: set[int] = set()
-        for set_index, run in runs_of(events):
-            if set_index is None:
+        last = None if up_to_set is None else SetKey(up_to_set)
+        keys = {event.set_key for event in events if event.topic == "sets"}
+        total = sum(key is not None and (last is None or key <= last) for key in keys)
+        done: set[SetKey] = set()
+        for set_key, run in runs_of(events):
+            if set_key is None:
                 for event in run:
                     self._repeat_action(event)
-            elif (last is None or in_order(set_index) <= last) and any(
-                event.topic == "sets" for event in run
-            ):
-                self._take_set(set_index)
-                done.add(set_index)
+            elif (last is None or set_key <= last) and any(event.topic == "sets" for event in run):
+                self._take_set(set_key)
+                done.add(set_key)
                 progress(len(done), total)
-                if set_index == up_to_set:
+                if set_key == last:
                     break
-        return {index for index in done if index < PLANNED_SETS}
+        return {key.set_index for key in done if not key.unscheduled_index}
 
-    def _take_set(self, set_index: int) -> None:
+    def _take_set(self, set_key: SetKey) -> None:
         """Assess a set from its file or its rows."""
-        rows = self._stored.rows(SetRow, set_index=set_index)
+        rows = self._stored.rows(SetRow, **set_key._asdict())
         file = next((row.file for row in rows if row.file), None)
         if file is None:
             self._take_set_without_records(rows)

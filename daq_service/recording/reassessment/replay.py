@@ -35,7 +35,6 @@ from daq_service.recording.reassessment.reassess import (
 )
 from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import in_order
 from hardware_drivers.methods import SOLITARY_WAVE
 
 
@@ -125,10 +124,10 @@ def replayed(
                 workers=workers_of(executor, workers),
                 rehearsal=settings.rig.dry_run,
                 read=archive.read_set,
-                references=iter([files[index] for index in sorted(files, key=in_order)]),
+                references=iter(files.values()),
             )
             sets = assess_set(ahead.features, read_set=ahead.read_set)
-        last = max(sets, key=in_order, default=None)
+        last = max(sets, default=None)
         return Replayed(
             experiment=experiment.name,
             changed={".".join(path): value for path, value in settings_given.items()},

@@ -57,7 +57,7 @@ from daq_service.recording.reassessment.changes import comparable
 from daq_service.recording.reassessment.stored_runs import Progress, Run, repeat_action, row_of, runs_of
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import Shot, in_order, purpose_of
+from hardware_drivers.measurement import Shot
 
 R = TypeVar("R", bound=Row)
 FeaturesOf = Callable[[Shot], ShotFeatures]
@@ -146,23 +146,23 @@ class _Restoration:
         files = dict(self._archive.sets())
         total = len(files)
         runs = list(runs_of(event for _, event in sorted(self._history.events.items())))
-        without_events = sorted(files.keys() - {index for index, _ in runs}, key=in_order)
-        for number, (set_index, events) in enumerate(runs):
-            if set_index is None:
+        without_events = sorted(files.keys() - {key for key, _ in runs})
+        for number, (set_key, events) in enumerate(runs):
+            if set_key is None:
                 self._pass(events)
                 continue
             # A set without any event is assessed before the next one.
-            while without_events and in_order(without_events[0]) < in_order(set_index):
+            while without_events and without_events[0] < set_key:
                 self._assess(files.pop(without_events.pop(0)), [], range(0))
             free = _free_ids(events, runs[number - 1][1] if number else [], runs[number + 1 : number + 2])
-            reference = files.pop(set_index, None)
+            reference = files.pop(set_key, None)
             if reference is None:
                 self._restore_rows(Transaction(), events)
             elif free or not self._restore_from_tables(reference, events):
                 self._assess(reference, events, free)
             progress(total - len(files), total)
-        for set_index in sorted(files, key=in_order):
-            self._assess(files[set_index], [], range(0))
+        for reference in files.values():
+            self._assess(reference, [], range(0))
             progress(total, total)
         self._pending.events += self._late
         self._store_pending()
@@ -214,7 +214,7 @@ class _Restoration:
         places = list(self._settings.positions)  # as a recorder orders them
         transaction.features.sort(key=lambda row: (places.index(row.position), row.shot_index is None))
         if any(row.n_taken for row in transaction.sets) and not transaction.shots:
-            self._result.damaged.append(f"set {transaction.sets[0].set_index}: its file is gone")
+            self._result.damaged.append(f"set {transaction.sets[0].set_key}: its file is gone")
         self._follow(transaction)
         self._commit(transaction, events)
 
@@ -238,8 +238,8 @@ class _Restoration:
                 ),
             )
             own = [item for item in transaction.assessments if item.position == row.position]
-            known = {item.set_index for item in own}
-            completed += [*(item for item in followed if item.set_index not in known), *own]
+            known = {item.set_key for item in own}
+            completed += [*(item for item in followed if item.set_key not in known), *own]
         transaction.assessments = completed
 
     def _completed_sets(self, stored: Sequence[SetRow], left_out: Mapping[str, str]) -> list[SetRow]:
@@ -281,7 +281,7 @@ class _Restoration:
         if record.results and not damage:
             again = results_of(transaction.features, transaction.thickness, transaction.shots)
             found = find_differences(record.results, again)
-            self._result.differing += [f"set {due.set_index}, its file: {difference}" for difference in found]
+            self._result.differing += [f"set {due.set_key}, its file: {difference}" for difference in found]
         self._add_environment(transaction, record)
         computed = joined(transaction.events, payloads_of(_reported_rows(transaction)))
         if events:
@@ -302,7 +302,7 @@ class _Restoration:
         return expected or found
 
     def _add_environment(self, transaction: Transaction, record: SetRecord) -> None:
-        if record.environment and not transaction.environment and purpose_of(record.set_index) == "planned":
+        if record.environment and not transaction.environment and not record.unscheduled_index:
             row = EnvironmentRow(set_index=record.set_index, due_h=record.due_h, **record.environment)  # type: ignore[arg-type] # its columns
             transaction.environment.append(row)
 
@@ -381,7 +381,7 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
         result = results.get(row["shot_id"])
         if result is None:
             return None
-        key = {"position": row["position"], "set_index": tables.set_index, "shot_index": row["shot_index"]}
+        key = {**tables.set_key._asdict(), "position": row["position"], "shot_index": row["shot_index"]}
         stamp = {name: row[name] for name in ("attempt", "utc_ns", "mono_ns", "boot_id", "crc32")}
         shots.append(
             ShotRow(
@@ -454,7 +454,7 @@ def _rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
 def _differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> list[str]:
     found = {_key(event): event for event in computed if event.kind in _COMPUTED}
     return [
-        f"set {event.set_index}, {event.position}: {event.kind}"
+        f"set {event.set_key}, {event.position}: {event.kind}"
         for event in stored
         if _key(event) in found
         and _stored_columns(event, found[_key(event)]) != _json(comparable(event.payload))

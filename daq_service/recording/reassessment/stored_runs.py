@@ -14,17 +14,18 @@ from daq_service.alarms.states import RETIRING
 from daq_service.assessment.baseline_lifecycle import STEPS
 from daq_service.catalogue.rows import EventRow, Row
 from daq_service.recording.set_assessor import PositionAssessors
+from hardware_drivers.measurement import SetKey
 
 R = TypeVar("R", bound=Row)
-Run = tuple[int | None, Sequence[EventRow]]
+Run = tuple[SetKey | None, Sequence[EventRow]]
 Progress = Callable[[int, int], None]
 """Called with the sets that are done and their number."""
 
 
 def runs_of(events: Iterable[EventRow]) -> Iterator[Run]:
-    """Yield the events in their order, those of each set together with its index."""
-    for set_index, run in groupby(events, key=lambda event: event.set_index):
-        yield set_index, list(run)
+    """Yield the events in their order, those of each set together with its key."""
+    for set_key, run in groupby(events, key=lambda event: event.set_key):
+        yield set_key, list(run)
 
 
 def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Container[str | None]) -> None:

@@ -167,6 +167,7 @@ class ConfirmationSet(Answer):
     """Result of an unscheduled confirmation set."""
 
     set_index: int
+    unscheduled_index: int
     utc_ns: int
     due_h: float
     confirms: bool | None
@@ -183,6 +184,7 @@ class AlarmEvidence(BaseModel):
     formula: str | None = None
     rule: AlarmRule | None = None
     set_index: int | None = None
+    unscheduled_index: int | None = None
     distance_squared: float | None = None
     limit_name: str | None = None
     raised_by: str | None = None
@@ -447,6 +449,7 @@ class AskedInfo(Answer):
     text: str
     position: str | None = None
     set_index: int | None = None
+    unscheduled_index: int | None = None
     shot_index: int | None = None
     attempt: int | None = None
     within_s: float
@@ -602,6 +605,7 @@ class WaveformAnswer(Dated):
     position: str
     method: Method
     set_index: int
+    unscheduled_index: int
     shot_index: int
     sequence: int
     utc: str

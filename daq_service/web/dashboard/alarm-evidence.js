@@ -17,7 +17,7 @@ const AFTER = 8;
  * @typedef {object} Host
  * @property {(position: string) => any} trend of the complete test
  * @property {() => import("./timeline.js").Timeline} timeline
- * @property {(position: string, set: number) => void} open
+ * @property {(position: string, set: import("./format.js").SetKey) => void} open
  * @property {(hour: number, ask: boolean) => void} note
  */
 
@@ -109,7 +109,7 @@ const BY_CHART = {
  * Return a link to a set, which can be copied and sent like any other view.
  *
  * @param {string} position
- * @param {number} set
+ * @param {import("./format.js").SetKey} set
  * @param {string} text
  * @param {Record<string, string>} attributes
  * @param {Host["open"]} open

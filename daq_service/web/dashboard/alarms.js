@@ -5,7 +5,7 @@ import { get, post } from "./api.js";
 import { askConfirmation } from "./control/confirm.js";
 import { authorName, isAllowed } from "./control/session.js";
 import { button, el, setText } from "./dom.js";
-import { hour, setName, utc } from "./format.js";
+import { hour, setKey, setName, utc } from "./format.js";
 import { PRIORITIES, chip } from "./icons.js";
 import { awaitResult, sendByButton, sendCommand } from "./commands.js";
 import { AlarmEvidence, setLink } from "./alarm-evidence.js";
@@ -163,16 +163,16 @@ export class SolimonAlarms extends HTMLElement {
         ),
       );
     }
-    const confirmationSet = alarm.evidence?.confirmation?.set_index;
-    if (confirmationSet != null)
+    const confirmation = alarm.evidence?.confirmation;
+    if (confirmation)
       foot.append(
         setLink(
           alarm.position,
-          confirmationSet,
+          setKey(confirmation),
           "Open confirmation set",
           {
             "data-focus": `confirmation-${alarm.id}`,
-            "aria-label": `Open ${setName(confirmationSet)} of position ${alarm.position}`,
+            "aria-label": `Open ${setName(setKey(confirmation))} of position ${alarm.position}`,
           },
           this.host.open,
         ),

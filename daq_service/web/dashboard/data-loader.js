@@ -3,7 +3,6 @@
 
 import { getAllPages, get, hasData, trend } from "./api.js";
 import { readBaselines } from "./charts/baselines.js";
-import { PLANNED_SETS } from "./format.js";
 
 const REFRESH_MS = 200;
 const FIT_REFRESH_MS = 1000;
@@ -223,7 +222,7 @@ export class DataLoader {
         String(event.kind).includes("baseline")
       )
         this.reload(event.position);
-      if (event.kind === "set_missed" || event.kind === "set_disabled" || event.set_index >= PLANNED_SETS)
+      if (event.kind === "set_missed" || event.kind === "set_disabled" || event.unscheduled_index)
         dirty.gaps.add(event.position);
       dirty.positions.add(event.position);
     } else if (!["alarms", "service", "environment"].includes(topic)) this.reloadAll();

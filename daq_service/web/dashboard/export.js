@@ -112,17 +112,18 @@ export function testOffer(span) {
 /**
  * Offer the waveforms of a set.
  *
- * @param {string} position @param {number} set @param {string} file of the set as the API names it
+ * @param {string} position @param {import("./format.js").SetKey} set @param {string} file of the set as the API names it
  * @returns {Offer}
  */
 export function setOffer(position, set, file) {
+  const records = `/waveforms/${encodeURIComponent(position)}`;
   return {
     description: "The accepted records in volts; the set's own file has counts and calibration of every position.",
     files: [
-      { title: "Records", path: `/waveforms/${encodeURIComponent(position)}?first_set=${set}&last_set=${set}` },
+      ...(typeof set === "number" ? [{ title: "Records", path: `${records}?first_set=${set}&last_set=${set}` }] : []),
       { title: "File of the set", path: `/files/${file.split("/").at(-1)}`, as: "HDF5" },
     ],
-    python: [`waves = test.waveforms(${literal(position)}, ${set})`],
+    python: [`waves = test.waveforms(${literal(position)}, ${literal(set)})`],
   };
 }
 

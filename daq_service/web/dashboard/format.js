@@ -54,19 +54,21 @@ export function hour(hours) {
   return fixed(hours, 1);
 }
 
-/** Scheduled sets have smaller indices, unscheduled ones (`hardware_drivers/measurement.py`) larger ones. */
-export const PLANNED_SETS = 10_000_000;
+/** @typedef {number | string} SetKey index of a scheduled set; "12.1" is the first unscheduled set after set 12 */
 
-/**
- * Return the name of a set: its number, or for a confirmation set that of the scheduled set before it.
- *
- * @param {number} index
- */
-export function setName(index) {
-  const confirmationNumber = Math.floor(index / PLANNED_SETS);
-  return confirmationNumber
-    ? `confirmation set ${confirmationNumber} after set ${index % PLANNED_SETS}`
-    : `set ${index}`;
+/** Return the key of the set of a row or an event. @param {any} row @returns {SetKey} */
+export function setKey({ set_index, unscheduled_index }) {
+  return unscheduled_index ? `${set_index}.${unscheduled_index}` : set_index;
+}
+
+/** Return the index of a scheduled set, or of the one before an unscheduled set. @param {SetKey} key */
+export function scheduledIndex(key) {
+  return parseInt(String(key), 10);
+}
+
+/** Return the name of a set in a sentence. @param {SetKey} key */
+export function setName(key) {
+  return typeof key === "string" ? `confirmation set ${key}` : `set ${key}`;
 }
 
 /** Format an RFC 3339 time as a short UTC text. @param {string | null | undefined} text */

@@ -19,7 +19,7 @@ import { EventStream } from "./events/stream.js";
 import { showEnvironment } from "./environment.js";
 import { UpdateFailure } from "./update-failure.js";
 import { tiles } from "./startup.js";
-import { hour, significant, utc } from "./format.js";
+import { hour, setKey, significant, utc } from "./format.js";
 import { PauseControl } from "./pause.js";
 import { RECORDER, chip } from "./icons.js";
 import { waitForLogin } from "./login.js";
@@ -195,7 +195,7 @@ function select(position) {
   if (data.positionInfo(position)) address.go(selection(position));
 }
 
-/** @param {string} position @param {number} set */
+/** @param {string} position @param {import("./format.js").SetKey} set */
 function openSet(position, set) {
   if (isOther(position)) {
     const where = parseEntry(position);
@@ -317,7 +317,7 @@ function onEvent(topic, event) {
   if (topic === "service") operatorPrompt.onEvent(event);
   data.onEvent(topic, event);
   const { position, set } = address.view;
-  const concerns = event.position === position && (event.set_index === set || String(event.kind).includes("baseline"));
+  const concerns = event.position === position && (setKey(event) === set || String(event.kind).includes("baseline"));
   if (set !== null && concerns) void panel.read();
 }
 

@@ -1,7 +1,7 @@
 // Ask the operator to act: a banner with the remaining time, hidden when it is done or too late.
 
 import { byId, setText } from "./dom.js";
-import { duration } from "./format.js";
+import { duration, setKey, setName } from "./format.js";
 import { icon } from "./icons.js";
 
 const TICK_MS = 250;
@@ -29,7 +29,7 @@ export class OperatorPrompt {
       const shotText =
         request.position == null
           ? ""
-          : `Position ${request.position}, set ${request.set_index + 1}, shot ${request.shot_index + 1}`;
+          : `Position ${request.position}, ${setName(setKey(request))}, shot ${request.shot_index + 1}`;
       setText(byId("prompt-shot"), request.attempt ? `${shotText}, once more` : shotText);
     }
     this.tick();

@@ -11,7 +11,7 @@
  * @property {number | null} to_h
  * @property {"hours" | "utc" | "local"} axis
  * @property {string} feature of the chart whose feature can be chosen
- * @property {number | null} set opened set of `position`
+ * @property {import("./format.js").SetKey | null} set opened set of `position`
  * @property {number | null} shot emphasized shot of it
  * @property {number | null} from_us null with `to_us`: the full waveform
  * @property {number | null} to_us
@@ -53,6 +53,7 @@ const CHOICES = /** @type {Record<string, string[]>} */ ({
   theme: ["auto", "light", "dark"],
 });
 const WHOLE_NUMBERS = new Set(["set", "shot"]);
+const UNSCHEDULED_SET = /^\d{1,8}\.\d{1,3}$/;
 const GESTURE_MS = 1000;
 
 /** @param {string} key @param {string} text of the address @returns {unknown} undefined: not valid */
@@ -60,6 +61,7 @@ function read(key, text) {
   const plain = /** @type {any} */ (PLAIN)[key];
   if (Array.isArray(plain)) return [...new Set(text.split(",").filter(Boolean))];
   if (typeof plain === "boolean") return text === "1";
+  if (key === "set" && UNSCHEDULED_SET.test(text)) return text;
   if (plain === null) {
     const value = text.trim() === "" ? NaN : Number(text);
     return Number.isFinite(value) && (!WHOLE_NUMBERS.has(key) || (Number.isSafeInteger(value) && value >= 0))

@@ -3,7 +3,7 @@
 import uPlot from "./vendor/uplot/uPlot.esm.js";
 import { axisLook } from "./charts/plot.js";
 import { color, el, setText } from "./dom.js";
-import { NONE, fixed, hour, quantity, setName } from "./format.js";
+import { NONE, fixed, hour, quantity, setKey, setName } from "./format.js";
 import { PULSES, drawPulses, marksOf } from "./pulses.js";
 
 /** @typedef {import("./streams.js").Waveform} Waveform */
@@ -88,7 +88,7 @@ export class SolimonWaveform extends HTMLElement {
     const { header } = waveform;
     setText(
       this.subtitle,
-      `${this.label} · hour ${hour(header.due_h)}, ${setName(header.set_index)}, shot ` +
+      `${this.label} · hour ${hour(header.due_h)}, ${setName(setKey(header))}, shot ` +
         `${header.shot_index + 1}${header.flags.length ? ` · flags: ${header.flags.join(", ")}` : " · no flags"}`,
     );
     this.fillReadouts();

@@ -13,6 +13,7 @@ from daq_service.web.answers.models import files, problems
 from daq_service.web.answers.problem import Problem, not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
+from hardware_drivers.measurement import SetKey
 
 router = APIRouter(tags=["files"])
 HDF5 = "application/x-hdf5"
@@ -63,11 +64,11 @@ def _row_of(context: Context, name: str) -> SetRow | None:
     match = NAME.fullmatch(name)
     if match is None:
         return None
-    catalogue, index = context.catalogue(), int(match[1])
+    catalogue, index = context.catalogue(), SetKey.of_number(int(match[1])).set_index
     rows = (
         row
         for position in context.settings.positions
-        for row in catalogue.rows(SetRow, position=position, set_index=index)
+        for row in catalogue.rows(SetRow, position=position, set_index=index, purpose="any")
     )
     return next((row for row in rows if row.file is not None and row.file.rpartition("/")[2] == name), None)
 

@@ -28,6 +28,10 @@ ToHour = Annotated[
     Query(ge=-LARGEST_HOUR, le=LARGEST_HOUR, allow_inf_nan=False, description="Last hour, excluded"),
 ]
 PositionFilter = Annotated[str | None, Query(max_length=16, description="Only this position")]
+SET_PATTERN = r"^[0-9]{1,8}(\.[0-9]{1,3})?$"
+SET_TEXT = "Index of a set, such as 12; 12.1 is the first unscheduled set after it"
+"""Form of the key of a set in paths and queries (`SetKey.parse`)."""
+SetOfPath = Annotated[str, Path(pattern=SET_PATTERN, description=SET_TEXT)]
 
 PurposeFilter = Annotated[
     Purposes,

@@ -19,13 +19,15 @@ from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes import listing
 from daq_service.web.tables.baselines import published_baselines
 from daq_service.web.tables.quality import assessed_qualities
+from hardware_drivers.measurement import SetKey
 
 router = APIRouter()
 Parameters = dict[str, tuple[object, object]]
 """Type and default of query parameters by name."""
 HOURS: Parameters = {"from_h": (listing.FromHour, None), "to_h": (listing.ToHour, None)}
 POSITION: Parameters = {"position": (listing.PositionFilter, None)}
-SET_INDEX: Parameters = {"set_index": (Annotated[int | None, Query(ge=0, le=listing.LARGEST_INDEX)], None)}
+SET_QUERY = Query(pattern=listing.SET_PATTERN, description=listing.SET_TEXT)
+SET_INDEX: Parameters = {"set_index": (Annotated[str | None, SET_QUERY], None)}
 PURPOSE: Parameters = {"purpose": (listing.PurposeFilter, "planned")}
 
 
@@ -57,6 +59,8 @@ def add_listing(
             context.checked_position(query["position"])
         name = listing.listing_name(resource, **query)
         chosen = {key: value for key, value in query.items() if key not in HOURS}
+        if query.get("set_index") is not None:  # the key alone decides whether the set is a scheduled one
+            chosen |= {**SetKey.parse(query["set_index"])._asdict(), "purpose": None}
         chosen["first_h"] = query.get("from_h")
         chosen["last_h"] = listing.last_hour(query.get("from_h"), query.get("to_h"))
         chosen["after_id"] = cursors.decode(name, cursor)
@@ -169,11 +173,11 @@ add_listing(
     response_model=models.ShotPage,
     responses=problems(404, 503),
 )
-def list_shots(context: ContextOf, position: str, set_index: listing.Index) -> JsonAnswer:
+def list_shots(context: ContextOf, position: str, set_index: listing.SetOfPath) -> JsonAnswer:
     """List the stored shots of one set, in one page."""
     context.checked_position(position)
     fresh = context.freshness()
-    shots = context.catalogue().rows(rows.ShotRow, position=position, set_index=set_index)
+    shots = context.catalogue().rows(rows.ShotRow, position=position, **SetKey.parse(set_index)._asdict())
     if not shots:
         raise not_found(
             f"No shot of position {position}, set {set_index} is stored.", "/api/v1/sets lists the sets."

@@ -18,8 +18,9 @@ from daq_service.web.answers.models import UNCHANGED, files, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.listing import Index
+from daq_service.web.routes.listing import SetOfPath
 from daq_service.web.routes.waveforms import OCTET_STREAM, little_endian
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import SOLITARY_WAVE
 
 router = APIRouter(tags=["waveforms"])
@@ -30,20 +31,16 @@ router = APIRouter(tags=["waveforms"])
     response_class=Response,
     responses=files(OCTET_STREAM) | UNCHANGED | problems(404, 503),
 )
-def get_set_waveforms(request: Request, context: ContextOf, position: str, set_index: Index) -> Response:
+def get_set_waveforms(request: Request, context: ContextOf, position: str, set_index: SetOfPath) -> Response:
     """Return the accepted waveforms of a set: u32 header length, JSON header, then all samples.
 
     The header names each record (shot_index, sequence, dtype, n_samples, sample_rate_hz, pretrigger_samples;
     volts = sum of coefficients_v[k] counts^k) and the windows in which pulses or echoes are searched.
     """
-    catalogue = context.catalogue()
-    set_row = next(
-        iter(catalogue.rows(SetRow, position=context.checked_position(position), set_index=set_index)), None
-    )
+    catalogue, key = context.catalogue(), SetKey.parse(set_index)._asdict()
+    set_row = next(iter(catalogue.rows(SetRow, position=context.checked_position(position), **key)), None)
     accepted = {
-        row.sequence
-        for row in catalogue.rows(ShotRow, position=position, set_index=set_index)
-        if row.outcome == ACCEPTED
+        row.sequence for row in catalogue.rows(ShotRow, position=position, **key) if row.outcome == ACCEPTED
     }
     if set_row is None or set_row.file is None or not accepted:
         raise not_found(
@@ -62,7 +59,7 @@ def get_set_waveforms(request: Request, context: ContextOf, position: str, set_i
     records = [record for record in taken if record.sequence in accepted]
     header = {
         "position": position,
-        "set_index": set_index,
+        **key,
         "method": set_row.method,
         "n_damaged": len(accepted) - len(records),
         "windows_s": _windows_s(context, set_row),
@@ -87,6 +84,7 @@ def _windows_s(context: Context, set_row: SetRow) -> dict[str, tuple[float, floa
     """Return the search windows of a set, s from the trigger; none without a reference time."""
     catalogue, method = context.catalogue(), METHODS[set_row.method]
     filters: Filters = {"position": set_row.position, "set_index": set_row.set_index, **method.of_sets}
+    filters["unscheduled_index"] = set_row.unscheduled_index
     result = next(iter(catalogue.rows(method.row, **filters)), None)
     if set_row.method == SOLITARY_WAVE:
         if not isinstance(result, FeatureRow) or result.isw_time_s is None:

@@ -27,6 +27,7 @@ from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import FromHour, ToHour, last_hour
 from daq_service.web.routes.waveforms import OCTET_STREAM
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import PULSE_ECHO
 
 router = APIRouter(tags=["waveforms"])
@@ -154,7 +155,7 @@ class _CatalogueIndex:
         return next((SetReference(row.file) for row in rows if row.file is not None), None)
 
     def anchors(self, set_index: int) -> Mapping[int, float]:
-        return anchors_of(results_in(self._catalogue, set_index))
+        return anchors_of(results_in(self._catalogue, SetKey(set_index)))
 
     def first_files(self) -> list[SetReference]:
         """Return the files of the first sets."""

@@ -24,9 +24,9 @@ from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf
-from daq_service.web.routes.listing import Index
+from daq_service.web.routes.listing import Index, SetOfPath
 from daq_service.web.streams.live_figures import Picture, decode_header, unreadable_picture
-from hardware_drivers.measurement import Waveform
+from hardware_drivers.measurement import SetKey, Waveform
 
 router = APIRouter(tags=["waveforms"])
 OCTET_STREAM = "application/octet-stream"
@@ -73,17 +73,17 @@ def get_waveform(
     request: Request,
     context: ContextOf,
     position: str,
-    set_index: Index,
+    set_index: SetOfPath,
     shot_index: Index,
     form: Annotated[Literal["json", "npy", "octets"], Query(alias="format")] = "json",
     points: Annotated[int | None, Query(ge=4, le=MOST_POINTS)] = None,
 ) -> Response:
     """Return one stored waveform, the accepted one of a repeated shot; pulse echo has shot index 0."""
     context.checked_position(position)
-    catalogue = context.catalogue()
-    shots = catalogue.rows(ShotRow, position=position, set_index=set_index)
+    catalogue, set_key = context.catalogue(), SetKey.parse(set_index)
+    shots = catalogue.rows(ShotRow, position=position, **set_key._asdict())
     row = next((shot for shot in shots if shot.shot_index == shot_index and shot.outcome == ACCEPTED), None)
-    set_row = next(iter(catalogue.rows(SetRow, position=position, set_index=set_index)), None)
+    set_row = next(iter(catalogue.rows(SetRow, position=position, **set_key._asdict())), None)
     if row is None or set_row is None or set_row.file is None:
         raise not_found(
             f"Shot {shot_index} of position {position}, set {set_index} is not stored.",
@@ -99,7 +99,7 @@ def get_waveform(
         waveform = context.archive.read_waveform(SetReference(set_row.file), position, shot_index)
     except SetNotFoundError as error:
         raise not_found(str(error), "Look whether the file was moved out of the data folder.") from error
-    disposition = f'attachment; filename="{position}_{set_index:06d}_{shot_index:03d}'
+    disposition = f'attachment; filename="{position}_{set_index.zfill(6)}_{shot_index:03d}'
     if form == "octets":
         return Response(
             little_endian(waveform),
@@ -123,13 +123,13 @@ def get_waveform(
         headers["Content-Disposition"] = disposition + '.npy"'
         return Response(buffer.getvalue(), media_type=NPY, headers=headers)
     fresh = context.freshness()
-    quality = _quality(context, position, set_index, row.sequence)
+    quality = _quality(context, position, set_key, row.sequence)
     due = with_utc({"due_h": set_row.due_h}, fresh.epoch_utc_ns)
     return JsonAnswer(
         {
             "position": position,
             "method": set_row.method,
-            "set_index": set_index,
+            **set_key._asdict(),
             "shot_index": shot_index,
             "sequence": row.sequence,
             "utc": rfc3339(row.utc_ns),
@@ -174,10 +174,10 @@ def extremes_per_bin(values: NDArray[np.float64], points: int) -> NDArray[np.int
     return np.unique(np.asarray(indices, dtype=np.intp))
 
 
-def _quality(context: Context, position: str, set_index: int, sequence: int) -> str | None:
+def _quality(context: Context, position: str, set_key: SetKey, sequence: int) -> str | None:
     """Return the quality of the features or the thickness of a record."""
     kind: type[FeatureRow] | type[ThicknessRow] = METHODS[context.settings.positions[position].method].row
-    rows = context.catalogue().rows(kind, position=position, set_index=set_index)
+    rows = context.catalogue().rows(kind, position=position, **set_key._asdict())
     return next((row.quality for row in rows if row.sequence == sequence), None)
 
 

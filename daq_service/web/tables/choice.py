@@ -21,7 +21,7 @@ from daq_service.web.tables.quality import assessed_qualities
 
 PAGE_ROWS = 1000
 ALWAYS = (
-    *("id", "set_index", "position", "shot_index", "due_h", "due_utc", "quality"),
+    *("id", "set_index", "unscheduled_index", "position", "shot_index", "due_h", "due_utc", "quality"),
     *("supply_quality", "climate_quality", "raised_h", "raised_utc", "kind", "priority", "state"),
     *("from_h", "from_utc", "to_h", "to_utc", "withdrawn_utc"),
 )

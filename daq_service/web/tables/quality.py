@@ -8,7 +8,7 @@ from daq_service.assessment.methods import METHODS
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import Filters
 from daq_service.catalogue.rows import AssessmentRow
-from hardware_drivers.measurement import PLANNED_SETS
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import Method
 
 
@@ -19,17 +19,16 @@ def assessed_qualities(
     if not rows:
         return []
     hours, positions = [row.due_h for row in rows], {row.position for row in rows}
-    qualities: dict[tuple[str, int], str] = {}
+    qualities: dict[tuple[str, SetKey], str] = {}
     for method in {methods[position] for position in positions}:
         measurement = METHODS[method]
         filters: Filters = {
             "position": None if len(positions) > 1 else rows[0].position,
             "first_h": min(hours),
             "last_h": max(hours),
-            "purpose": None if all(row.set_index < PLANNED_SETS for row in rows) else "any",
+            "purpose": "any" if any(row.unscheduled_index for row in rows) else None,
             **measurement.of_sets,
         }
-        columns = catalogue.columns(measurement.row, ("position", "set_index", "quality"), **filters)
-        keys = zip(columns["position"], columns["set_index"], strict=True)
-        qualities |= zip(keys, columns["quality"], strict=True)
-    return [qualities.get((row.position, row.set_index)) for row in rows]
+        measured_rows = catalogue.rows(measurement.row, **filters)
+        qualities |= {(row.position, row.set_key): row.quality for row in measured_rows}
+    return [qualities.get((row.position, row.set_key)) for row in rows]

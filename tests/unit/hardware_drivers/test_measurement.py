@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hardware_drivers.measurement import Calibration, Waveform
+from hardware_drivers.measurement import MOST_UNSCHEDULED, Calibration, SetKey, ShotKey, Waveform
 
 
 def record(*codes, bits):
@@ -29,3 +29,25 @@ def test_either_end_of_the_range_is_clipped_and_nothing_inside(bits):
 
 def test_an_empty_record_is_not_clipped():
     assert not record(bits=16).clipped
+
+
+def test_the_key_of_a_set_sorts_by_time_and_has_one_text_and_number():
+    keys = [SetKey(2), SetKey(12), SetKey(12, 1), SetKey(12, 2), SetKey(12, 10), SetKey(13)]
+    assert sorted(set(keys)) == keys
+    assert [str(key) for key in keys] == ["2", "12", "12.1", "12.2", "12.10", "13"]
+    assert [SetKey.parse(str(key)) for key in keys] == keys
+    assert [key.number for key in keys[1:4]] == [12, 10_000_012, 20_000_012]
+    assert [SetKey.of_number(key.number) for key in keys] == keys
+    assert [key.purpose for key in keys[1:3]] == ["planned", "confirmation"]
+    assert SetKey(0, MOST_UNSCHEDULED).number < 2**31
+    for text in ("", "12.", "1.2.3", "x"):
+        with pytest.raises(ValueError, match="invalid literal"):
+            SetKey.parse(text)
+
+
+def test_the_key_of_a_shot_contains_that_of_its_set():
+    key = ShotKey.in_set(SetKey(12, 1), "B", 3, 1)
+    assert key == ShotKey(position="B", set_index=12, unscheduled_index=1, shot_index=3, attempt=1)
+    assert key.set_key == SetKey(12, 1)
+    with pytest.raises(ValueError, match="unscheduled_index is -1"):
+        ShotKey.in_set(SetKey(12, -1), "B", 3)

@@ -1,7 +1,7 @@
 // Update the charts of the page: their features, positions and hours.
 
 import { byId, el, setText } from "../dom.js";
-import { fixed, scientific, significant } from "../format.js";
+import { fixed, scientific, setKey, significant } from "../format.js";
 import { notesOn } from "../notes.js";
 import { isFeature, featureLabel } from "./features.js";
 import { baselineRanges, baselineAt } from "./baselines.js";
@@ -12,6 +12,7 @@ import { colorOf, fitLine, mergeHours, onAxis, relativeTo, scaleValues, shownUni
  * @typedef {import("./chart.js").SolimonChart} SolimonChart
  * @typedef {import("../view.js").View} View
  * @typedef {import("./series.js").Line} Line
+ * @typedef {import("../format.js").SetKey} SetKey
  */
 
 /** @param {any} fit @param {number} scale @param {string} unit */
@@ -277,12 +278,12 @@ export class Board {
     };
   }
 
-  /** Return the hour of a set; null: it has not been read. @param {string} position @param {number} index */
-  hourOf(position, index) {
+  /** Return the hour of a set; null: it has not been read. @param {string} position @param {SetKey} key */
+  hourOf(position, key) {
     const columns = this.trend(position)?.columns;
-    const row = columns?.set_index.indexOf(index) ?? -1;
+    const row = columns?.set_index.indexOf(key) ?? -1;
     const others = [...(this.loader.gaps.get(position) ?? []), ...(this.loader.confirmations.get(position) ?? [])];
-    return row >= 0 ? columns.due_h[row] : (others.find((one) => one.set_index === index)?.due_h ?? null);
+    return row >= 0 ? columns.due_h[row] : (others.find((one) => setKey(one) === key)?.due_h ?? null);
   }
 
   /**

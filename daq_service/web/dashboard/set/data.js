@@ -21,12 +21,12 @@ import { readWaveforms } from "./waveforms.js";
 const items = async (path) => (await get(path)).items;
 
 /**
- * @param {string} position @param {"solitary_wave" | "pulse_echo"} method @param {number} index
+ * @param {string} position @param {"solitary_wave" | "pulse_echo"} method @param {import("../format.js").SetKey} key
  * @returns {Promise<SetData>}
  */
-export async function readSetData(position, method, index) {
+export async function readSetData(position, method, key) {
   const waves = method === "solitary_wave";
-  const which = `position=${position}&set_index=${index}${waves ? "&purpose=any" : ""}`;
+  const which = `position=${position}&set_index=${key}`;
   const [set] = await items(`/sets?${which}`);
   /** @type {SetData} */
   const nothing = {
@@ -41,7 +41,7 @@ export async function readSetData(position, method, index) {
     missingReason: "",
   };
   if (!set)
-    return { ...nothing, missingReason: `Nothing is recorded of ${setName(index)} at position ${position} yet.` };
+    return { ...nothing, missingReason: `Nothing is recorded of ${setName(key)} at position ${position} yet.` };
   const taken = set.n_taken > 0;
   const [features, shotFeatures, [assessment], baselines, environment, shots, waveforms] = await Promise.all([
     items(waves ? `/features?${which}&scope=set` : `/thickness?${which}`),
@@ -49,9 +49,9 @@ export async function readSetData(position, method, index) {
     items(`/assessments?${which}`),
     items(`/baselines?position=${position}`),
     items(`/environment?from_h=${set.due_h}&to_h=${set.due_h + 1e-6}`),
-    taken ? items(`/sets/${position}/${index}/shots`) : [],
+    taken ? items(`/sets/${position}/${key}/shots`) : [],
     // A set without a file is not requested: a browser reports each 404 as an error.
-    taken && set.file ? readWaveforms(position, index).catch((/** @type {Error} */ error) => error) : null,
+    taken && set.file ? readWaveforms(position, key).catch((/** @type {Error} */ error) => error) : null,
   ]);
   const failed = waveforms instanceof Error;
   const reason = failed
@@ -66,7 +66,7 @@ export async function readSetData(position, method, index) {
     shotFeatures,
     assessment: assessment ?? null,
     baseline: baselines.find((one) => one.id === assessment?.baseline_id) ?? null,
-    environment: environment.find((row) => row.set_index === index) ?? null,
+    environment: environment.find((row) => row.set_index === key) ?? null,
     waveforms: failed ? null : waveforms,
     missingReason: waveforms === null || failed ? reason : "",
   };

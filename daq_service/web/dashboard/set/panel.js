@@ -4,7 +4,7 @@ import { onZoomKey } from "../charts/gestures.js";
 import { swatch } from "../charts/legend.js";
 import { button, el, setText } from "../dom.js";
 import { exportMenu, setOffer } from "../export.js";
-import { PLANNED_SETS, duration, fixed, hour, setName, utc } from "../format.js";
+import { duration, fixed, hour, scheduledIndex, setName, utc } from "../format.js";
 import { PRIORITIES, chip } from "../icons.js";
 import { marksOf } from "../pulses.js";
 import { readSetData } from "./data.js";
@@ -198,7 +198,7 @@ export class SolimonSet extends HTMLElement {
   updateNeighbors() {
     const { position, set } = this.host.view();
     this.previous.disabled = set === 0;
-    this.next.disabled = set !== null && set % PLANNED_SETS >= this.host.last(position);
+    this.next.disabled = set !== null && scheduledIndex(set) >= this.host.last(position);
   }
 
   /** @param {number} by */
@@ -206,7 +206,7 @@ export class SolimonSet extends HTMLElement {
     const { position, set } = this.host.view();
     if (set === null) return;
     // A confirmation set lies between two scheduled ones.
-    const planned = set % PLANNED_SETS;
+    const planned = scheduledIndex(set);
     const next = Math.max(0, Math.min(this.host.last(position), planned === set || by > 0 ? planned + by : planned));
     if (next !== set) this.host.go({ set: next, shot: null }, { step: true });
   }

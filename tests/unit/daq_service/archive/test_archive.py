@@ -32,6 +32,7 @@ from daq_service.archive import (
 from daq_service.archive.layout import build_image
 from daq_service.archive.nexus import image_file, image_of
 from daq_service.errors import StorageError
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.units import unit_of
 
 
@@ -82,6 +83,18 @@ def test_sets_are_listed_in_order_without_foreign_files(tmp_path):
     (tmp_path / "sets" / "set_000008_20240101T040000Z.h5.tmp").write_bytes(b"")
     assert list(set_files(tmp_path)) == [7, 12, 999_999, 1_000_001]
     assert read_set(set_files(tmp_path)[12]).set_index == 12
+
+
+def test_the_number_of_an_unscheduled_set_in_a_file_of_format_1_5_is_its_key(stored):
+    with h5py.File(stored, "r+") as file:
+        file.attrs["solimon_format_version"] = "1.5"
+        file["entry/set_index"][...] = 10_000_000 + SET_INDEX
+        del file["entry/unscheduled_index"]
+    before = stored.read_bytes()
+    record = read_set(stored)
+    assert record.set_key == SetKey(SET_INDEX, 1)
+    assert {item.key.set_key for item in (*record.records, *record.missed)} == {record.set_key}
+    assert stored.read_bytes() == before
 
 
 def as_format_1_0(path):

@@ -25,6 +25,7 @@ from daq_service.archive.journal import writer
 from daq_service.archive.journal.reader import contents, read_journal, segments
 from daq_service.archive.journal.writer import Journal
 from daq_service.archive.layout import build_image
+from hardware_drivers.measurement import SetKey
 
 RECORDS = make_set().records
 
@@ -36,7 +37,7 @@ def archive(tmp_path):
 
 
 def append_set(archive, record):
-    archive.begin_set(record.set_index, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
+    archive.begin_set(record.set_key, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
     for item in record.records:
         archive.append(item, item.stamp.utc_ns)
 
@@ -85,7 +86,7 @@ def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
 @pytest.mark.parametrize("name", ["write_all", "synchronise"])
 def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_path, monkeypatch, name):
     first, *others = RECORDS
-    archive.begin_set(SET_INDEX, due_utc_ns=1, started_utc_ns=1, retired={})
+    archive.begin_set(SetKey(SET_INDEX), due_utc_ns=1, started_utc_ns=1, retired={})
     archive.append(first, 1)
     assert archive.sync() == [first.sequence]
     monkeypatch.setattr(writer, name, FailingCall(getattr(writer, name), 20, errno.EIO))
@@ -127,8 +128,8 @@ def test_a_segment_is_removed_with_its_last_set(tmp_path):
             append_set(archive, record)
             archive.store_set(record)
         for number, record in enumerate(sets, 1):
-            compact_set(tmp_path, record.set_index)
-            archive.settle(record.set_index)
+            compact_set(tmp_path, record.set_key)
+            archive.settle(record.set_key)
             left = FolderArchive(tmp_path)
             assert left.open_sets() == {}
             assert [bits(left.read_set(file)) for file in left.sets().values()] == [
@@ -145,39 +146,39 @@ def test_the_byte_ranges_of_a_set_hold_all_its_frames_and_little_more(tmp_path):
     with closing(FolderArchive(tmp_path)) as archive:
         archive._journal_writer = Journal(tmp_path, segment_bytes=small)
         archive.store_set(first)
-        archive.begin_set(second.set_index, due_utc_ns=second.due_utc_ns, started_utc_ns=1, retired={})
+        archive.begin_set(second.set_key, due_utc_ns=second.due_utc_ns, started_utc_ns=1, retired={})
         for item in second.records[:-1]:
             archive.append(item, item.stamp.utc_ns)
             archive.sync()
     with closing(FolderArchive(tmp_path)) as archive:
-        archive.resume_set(archive.open_sets()[second.set_index])
+        archive.resume_set(archive.open_sets()[second.set_key])
         archive.append(second.records[-1], 1)
         archive.sync()
         archive.store_set(second)
         archive.store_set(third)
-        assert len(archive.places(second.set_index)) >= 3
+        assert len(archive.places(second.set_key)) >= 3
         for record in (first, second, third):
-            index, places = record.set_index, archive.places(record.set_index)
+            index, places = record.set_key, archive.places(record.set_key)
             (found,) = read_journal(tmp_path, of_set=index, places=places).values()
             assert set(read_journal(tmp_path, of_set=index)) == {index}
             assert (found.is_whole, bits(found.record())) == (True, bits(record))
         # A set that this process wrote alone has no more bytes than its frames.
-        places = archive.places(third.set_index)
+        places = archive.places(third.set_key)
         ((number, (start, end)),) = places.items()
         (whole,) = (content for other, content in contents(tmp_path) if other == number)
         assert sum(len(content) for _, content in contents(tmp_path, places)) == end - start
-        assert set(read_journal(tmp_path, places={number: (start, end)})) == {third.set_index}
+        assert set(read_journal(tmp_path, places={number: (start, end)})) == {third.set_key}
         assert whole[start:end].strip(b"\0") == whole[start:end]
-        file, *_ = compact_set(tmp_path, second.set_index, archive.places(second.set_index))
+        file, *_ = compact_set(tmp_path, second.set_key, archive.places(second.set_key))
         assert (tmp_path / file).read_bytes() == build_image(second)
 
 
 def test_a_compacted_set_is_compared_with_its_file(archive, tmp_path):
     stored = archive.store_set(make_set())
-    compact_set(tmp_path, SET_INDEX)
+    compact_set(tmp_path, SetKey(SET_INDEX))
     file = tmp_path / stored.file
     content = file.read_bytes()
-    compact_set(tmp_path, SET_INDEX)  # by a recorder that was killed before the first acknowledgement
+    compact_set(tmp_path, SetKey(SET_INDEX))  # by a recorder that was killed before the first acknowledgement
     assert file.read_bytes() == content
     changed = bytearray(content)
     with h5py.File(file) as opened:
@@ -185,16 +186,16 @@ def test_a_compacted_set_is_compared_with_its_file(archive, tmp_path):
     changed[chunk.byte_offset + 30] ^= 0xFF
     file.write_bytes(changed)
     with pytest.raises(CorruptArchiveError, match="backup: solimon repair --from BACKUP") as caught:
-        compact_set(tmp_path, SET_INDEX)
+        compact_set(tmp_path, SetKey(SET_INDEX))
     assert "skip_damaged" not in str(caught.value)
     assert "skip_damaged=True" in caught.value.__notes__[0]  # for who reads it in Python
     whole = make_set()
     other = replace(whole.shots[0], waveform=replace(whole.shots[0].waveform, counts=counts_of(99, 300)))
     file.write_bytes(build_image(replace(whole, shots=[other, *whole.shots[1:]])))
     with pytest.raises(CorruptArchiveError, match="is not what the journal holds"):
-        compact_set(tmp_path, SET_INDEX)
+        compact_set(tmp_path, SetKey(SET_INDEX))
     file.unlink()
-    compact_set(tmp_path, SET_INDEX)
+    compact_set(tmp_path, SetKey(SET_INDEX))
     assert file.read_bytes() == content
 
 
@@ -213,14 +214,14 @@ def test_a_temporary_read_error_is_no_corruption(archive, tmp_path, monkeypatch,
     with monkeypatch.context() as patch:
         patch.setattr(finalize_set, "read_shared", no_file(number))
         with pytest.raises(OSError, match=re.escape(os.strerror(number))):
-            compact_set(tmp_path, SET_INDEX)
-    compact_set(tmp_path, SET_INDEX)
+            compact_set(tmp_path, SetKey(SET_INDEX))
+    compact_set(tmp_path, SetKey(SET_INDEX))
 
 
 def test_a_file_that_cannot_be_opened_for_lack_of_handles_is_no_corruption(archive, tmp_path, monkeypatch):
     """A start quarantines corrupt files without rows and must not quarantine this one."""
     stored = archive.store_set(make_set())
-    compact_set(tmp_path, SET_INDEX)
+    compact_set(tmp_path, SetKey(SET_INDEX))
     monkeypatch.setattr(reader.h5py, "File", no_file(errno.EMFILE))
     with pytest.raises(ArchiveReadError, match=r"cannot be read now: .*Too many open files"):
         archive.read_set(stored.file)
@@ -232,19 +233,19 @@ def test_a_segment_that_cannot_be_removed_is_removed_with_the_next_set(archive, 
         archive._journal_writer._abandon()
     with monkeypatch.context() as patch:
         patch.setattr(writer, "remove_quietly", lambda path: None)
-        archive.settle(SET_INDEX)
+        archive.settle(SetKey(SET_INDEX))
     assert list(segments(tmp_path)) == [1, 2]
-    archive.settle(SET_INDEX + 1)
+    archive.settle(SetKey(SET_INDEX + 1))
     assert list(segments(tmp_path)) == []
 
 
 def test_an_incomplete_set_is_not_finalized(archive, tmp_path):
     with pytest.raises(SetNotFoundError, match="no set 7"):
-        compact_set(tmp_path, SET_INDEX)
+        compact_set(tmp_path, SetKey(SET_INDEX))
     append_set(archive, make_set())
     archive.sync()
     with pytest.raises(CorruptArchiveError, match="set 7 in the journal has no end"):
-        compact_set(tmp_path, SET_INDEX)
+        compact_set(tmp_path, SetKey(SET_INDEX))
 
 
 def test_a_group_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):

@@ -4,11 +4,12 @@ import pytest
 from support.archived_sets import make_set, make_shot
 from support.memory_archive import bits
 
-from daq_service.archive.journal.frames import begin_frame, end_frame, frames, record_frame, record_of
+from daq_service.archive.journal.frames import HEADER, begin_frame, end_frame, frames, record_frame, record_of
+from hardware_drivers.measurement import SetKey
 
 RECORDS = make_set().records
 WRITTEN = [
-    begin_frame(7, due_utc_ns=5, started_utc_ns=6, retired={"C": "worn"}),
+    begin_frame(SetKey(7), due_utc_ns=5, started_utc_ns=6, retired={"C": "worn"}),
     *map(record_frame, RECORDS),
     end_frame(make_set()),
 ]
@@ -21,6 +22,13 @@ def sound(content):
 
 
 ALL = sound(SEGMENT)
+
+
+def test_the_header_holds_the_number_of_an_unscheduled_set_as_in_earlier_versions():
+    content = b"".join(begin_frame(SetKey(7, 2), due_utc_ns=5, started_utc_ns=6, retired={}))
+    assert HEADER.unpack_from(content)[6] == 20_000_007
+    assert [frame.set_key for frame in frames(content)] == [SetKey(7, 2)]
+    assert list(frames(content, of_set=SetKey(7))) == []
 
 
 def test_every_record_is_restored_bit_for_bit():

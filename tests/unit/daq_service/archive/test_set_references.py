@@ -2,13 +2,19 @@
 
 from pathlib import PurePosixPath
 
-from daq_service.archive.records import due_utc_ns, referenced_sets, set_indices, set_reference
-from hardware_drivers.measurement import PLANNED_SETS
+from daq_service.archive.records import due_utc_ns, referenced_sets, set_keys, set_reference
+from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
 SETS = {
     index: round(hour * NS_PER_H)
-    for index, hour in ((0, 0.5), (1, 1.0), (PLANNED_SETS + 1, 1.1), (2 * PLANNED_SETS + 1, 1.1), (2, 1.5))
+    for index, hour in (
+        (SetKey(0), 0.5),
+        (SetKey(1), 1.0),
+        (SetKey(1, 1), 1.1),
+        (SetKey(1, 2), 1.1),
+        (SetKey(2), 1.5),
+    )
 }
 """Due times by index, in the order of time."""
 
@@ -23,5 +29,5 @@ def test_the_last_name_is_that_of_the_newest_set_and_has_its_index():
 
 def test_a_name_of_an_earlier_version_has_the_whole_index():
     name = "set_10000001_19700101T010600Z.h5"
-    assert set_indices([name]) == {PLANNED_SETS + 1}
-    assert due_utc_ns(f"sets/{name}") == SETS[PLANNED_SETS + 1]
+    assert set_keys([name]) == {SetKey(1, 1)}
+    assert due_utc_ns(f"sets/{name}") == SETS[SetKey(1, 1)]

@@ -19,6 +19,7 @@ from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import read_journal, segment_path
 from daq_service.archive.layout import build_image
 from daq_service.archive.verification import check_file
+from hardware_drivers.measurement import SetKey
 
 QUICK = [range(15)]
 # A hundred corruptions on a busy machine.
@@ -193,7 +194,7 @@ def test_a_group_moved_to_a_new_segment_is_no_corruption(journal):
 
 
 def test_a_corrupt_frame_of_a_set_that_has_its_file_is_ignored(journal):
-    compact_set(journal, SET_INDEX)
+    compact_set(journal, SetKey(SET_INDEX))
     path = segment_path(journal, 1)
     content = bytearray(path.read_bytes())
     shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 42)

@@ -9,6 +9,7 @@ import pytest
 from daq_service.assessment.results_in_file import find_differences, newest_results, results_of
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import FeatureRow, ShotRow, ThicknessRow
+from hardware_drivers.measurement import SetKey
 
 COMMON = {"set_index": 7, "due_h": 4.0, "extractor_version": "1.1", "quality": "good"}
 SHOT = ShotRow(
@@ -63,6 +64,6 @@ def test_the_results_of_the_newest_set_are_those_of_its_commit_without_reading_t
     newest = SetCommit(shots=[SHOT, ECHO], features=[FEATURE, MEAN], thickness=[WALL])
     newest.sets.append(SimpleNamespace(set_index=7))
     catalogue = SimpleNamespace(newest=newest)  # has no rows to read
-    assert list(find_differences(newest_results(catalogue, 7), results(FEATURE, MEAN, WALL))) == []
+    assert list(find_differences(newest_results(catalogue, SetKey(7)), results(FEATURE, MEAN, WALL))) == []
     with pytest.raises(AttributeError):
-        newest_results(catalogue, 8)
+        newest_results(catalogue, SetKey(8))

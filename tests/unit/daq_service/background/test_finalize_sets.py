@@ -11,6 +11,7 @@ from support.small_experiment import AtOnce
 from daq_service.archive import FolderArchive
 from daq_service.background import finalize_sets as module
 from daq_service.background.finalize_sets import AGAIN_AFTER_S, SetFinalizer
+from hardware_drivers.measurement import SetKey
 
 
 class BrokenExecutor(Executor):
@@ -58,7 +59,7 @@ def test_an_error_of_the_worker_is_reported_and_retried(archive, tmp_path, monke
 
     with monkeypatch.context() as patch:
         patch.setattr(module, "compact_set", refuse)
-        making.after_set(SET_INDEX)
+        making.after_set(SetKey(SET_INDEX))
         making.run_for(0.0)
         assert (making.waits, making.trouble, files(tmp_path)) == (True, str(refusal), [])
     now_s[0] = AGAIN_AFTER_S - 1.0
@@ -73,7 +74,7 @@ def test_an_error_of_the_worker_is_reported_and_retried(archive, tmp_path, monke
 def test_a_worker_that_was_killed_is_replaced(archive, tmp_path):
     workers = [BrokenExecutor(), AtOnce()]
     making = SetFinalizer(tmp_path, archive, start=lambda: workers.pop(0))
-    making.after_set(SET_INDEX)
+    making.after_set(SetKey(SET_INDEX))
     making.run_for(0.0)
     assert files(tmp_path) == []
     making.try_again()
@@ -85,7 +86,7 @@ def test_a_set_with_a_file_is_not_finalized_again(tmp_path):
     archive = FiledArchive(tmp_path)
     archive.store_set(make_set())
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
-    making.after_set(SET_INDEX)
+    making.after_set(SetKey(SET_INDEX))
     making.run_for(0.0)
     assert (making.waits, making.trouble) == (False, "")
 

@@ -19,6 +19,7 @@ from daq_service.background.verification import EVERY_S, QUIET_S, IdleVerificati
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueDamagedError
 from daq_service.clock import parse_utc, wall
 from daq_service.recording import session
+from hardware_drivers.measurement import SetKey
 
 LONG_S = 1000.0
 
@@ -116,7 +117,7 @@ def test_an_intact_file_without_a_stored_sha256_gets_one(tmp_path, stored):
     idle.trouble = None
     assert list(idle.steps(6)) == [stored[0]]
     digests = [sha256(path.read_bytes()).hexdigest() for path in sound]
-    assert idle.noted == dict(zip(range(SET_INDEX + 1, SET_INDEX + 3), digests, strict=True))
+    assert idle.noted == dict(zip((SetKey(SET_INDEX + 1), SetKey(SET_INDEX + 2)), digests, strict=True))
 
 
 def test_corruption_is_reported_until_it_is_repaired(tmp_path, stored):

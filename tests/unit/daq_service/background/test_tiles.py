@@ -24,7 +24,7 @@ from daq_service.background.verification import QUIET_S
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.recording.reassessment.rebuild import rebuild
-from hardware_drivers.measurement import PLANNED_SETS
+from hardware_drivers.measurement import SetKey
 
 N_SETS = 6
 RESULTS = {"features": {"shot_id": [41], "isw_time_s": [2.5e-6]}}
@@ -37,7 +37,9 @@ class Line:
         self.folder, self.now_s, self.room, self.read = folder, 0.0, True, []
         self.archive = FolderArchive(folder)
         self.records = {index: other_set(make_set(), index) for index in range(SET_INDEX, SET_INDEX + N_SETS)}
-        self.files = {index: self.archive.store_set(record).file for index, record in self.records.items()}
+        self.files = {
+            SetKey(index): self.archive.store_set(record).file for index, record in self.records.items()
+        }
         self.compaction = SetFinalizer(
             folder, self.archive, start=AtOnce, results=lambda set_index: RESULTS, also=self.tile
         )
@@ -57,8 +59,8 @@ class Line:
     def file(self, *, room=True):
         """Write the files of all sets; without free space they get no tiles."""
         self.room = room
-        for index in self.files:
-            self.compaction.after_set(index)
+        for set_key in self.files:
+            self.compaction.after_set(set_key)
             self.compaction.run_for(0.0)
         self.room = True
         assert len(list((self.folder / "sets").iterdir())) == N_SETS
@@ -67,7 +69,7 @@ class Line:
         return tiles_of(self.folder, "ab/1", self.records[SET_INDEX], position, alignment)
 
     def kept(self):
-        return [index for index in self.files if self.tiles().has_set(index)]
+        return [key for key in self.files if self.tiles().has_set(key.set_index)]
 
     def work(self, free_s=0.0):
         """Run the task once and collect its result."""
@@ -86,7 +88,7 @@ def line(tmp_path):
 def test_a_set_with_a_file_gets_tiles_without_free_time(line):
     """The coarser rows of incomplete blocks follow in free time; until then readers join finer ones."""
     line.file()
-    assert all(line.tiles().row(1, index) for index in line.files)
+    assert all(line.tiles().row(1, index) for index in line.records)
     assert [line.tiles().row(4, 2).n_sets, line.tiles().row(16, 0)] == [4, None]
     assert line.kept() == []
     line.work(free_s=QUIET_S + 1)
@@ -112,7 +114,7 @@ def test_in_idle_time_older_sets_get_tiles_newest_first(line):
 
 
 def test_no_tile_is_made_while_set_files_are_pending(line):
-    line.compaction.after_set(SET_INDEX)
+    line.compaction.after_set(SetKey(SET_INDEX))
     assert line.compaction.waits
     line.read.clear()
     line.work(free_s=QUIET_S + 1)
@@ -125,7 +127,7 @@ def test_a_corrupt_tile_is_made_again_in_the_next_round(line):
     content = bytearray(path.read_bytes())
     content[-9] ^= 1
     path.write_bytes(content)
-    newest = list(line.files)[-1]
+    newest = list(line.records)[-1]
     assert line.tiles().row(1, newest) is None
     for _ in range(2):
         line.work(free_s=QUIET_S + 1)
@@ -154,7 +156,7 @@ def test_a_full_volume_gets_no_tiles(line):
 
 
 def test_an_unscheduled_set_gets_no_tiles(line):
-    record = other_set(make_set(), PLANNED_SETS + SET_INDEX)
+    record = other_set(make_set(), SET_INDEX, 1)
     assert add_record_to_tiles(line.folder, "ab/1", {}, record) == ""
     assert not (line.folder / TILES_FOLDER).exists()
 
@@ -182,7 +184,7 @@ def test_rebuild_makes_the_tiles_of_an_older_folder(copy_of_older_version):
         name = experiment_identity(catalogue.experiment_row())
         for path in set_files(copy_of_older_version.folder).values():
             record = read_set(path)
-            anchors = anchors_of(results_in(catalogue, record.set_index))
+            anchors = anchors_of(results_in(catalogue, record.set_key))
             for place in {taken.key.position for taken in record.records}:
                 tiles = tiles_of(copy_of_older_version.folder, name, record, place, "first")
                 expected = planes_of_set(record, place, "first", anchors, tiles.frame)

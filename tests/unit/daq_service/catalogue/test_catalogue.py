@@ -38,6 +38,7 @@ from daq_service.catalogue.tables import features, sets
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently
+from hardware_drivers.measurement import SetKey
 
 HASH = "ab" * 32
 NAN = float("nan")
@@ -370,9 +371,9 @@ def test_a_rejected_row_rejects_the_whole_set(writer, reader):
     with pytest.raises(CatalogueConflictError, match="nothing of it was stored"):
         writer.commit_set(SetCommit(sets=bad.sets, shots=bad.shots, features=bad.features, events=events))
     assert (reader.counts(), reader.last_event_id()) == before
-    assert writer.committed_sets() == {0}
+    assert writer.committed_sets() == {SetKey(0)}
     writer.commit_set(bad)
-    assert writer.committed_sets() == {0, 1}
+    assert writer.committed_sets() == {SetKey(0), SetKey(1)}
 
 
 @pytest.mark.parametrize(
@@ -688,7 +689,7 @@ def test_the_newest_baseline_is_used_and_all_are_kept(writer, reader):
 def test_a_restart_gets_the_finished_sets_and_the_next_sequence(writer):
     assert (writer.committed_sets(), writer.next_sequence()) == (set(), 1)
     writer.commit_set(commit_of(4, "B"))
-    assert (writer.committed_sets(), writer.next_sequence()) == ({4}, 403)
+    assert (writer.committed_sets(), writer.next_sequence()) == ({SetKey(4)}, 403)
 
 
 # Several at once ------------------------------------------------------------------------------
@@ -763,11 +764,11 @@ def test_a_full_disk_rejects_the_set_and_keeps_the_stored_rows(writer, reader):
     big = [event_row(payload={"text": "x" * 10_000})] * 20
     with pytest.raises(CatalogueWriteError, match="free or mend the disk"):
         writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
-    assert writer.committed_sets() == {0}
+    assert writer.committed_sets() == {SetKey(0)}
     with writer.reading() as connection_:
         connection_.exec_driver_sql("PRAGMA max_page_count = 1000000")
     writer.commit_set(SetCommit(sets=[set_row(1, "B")], events=big))
-    assert writer.committed_sets() == {0, 1}
+    assert writer.committed_sets() == {SetKey(0), SetKey(1)}
 
 
 def test_a_writer_that_sqlite_opened_read_only_connects_again(tmp_path, monkeypatch):

@@ -27,15 +27,19 @@ from daq_service.catalogue.rows import (
     CommandRow,
     EnvironmentRow,
     EventRow,
+    FeatureRow,
     SetRow,
     ShotRow,
+    ThicknessRow,
     values,
 )
+from daq_service.catalogue.stored_rows import row_crc32
 from daq_service.catalogue.tables import metadata
 from daq_service.commands.deadline import command_state
 from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS
 from daq_service.settings.notifications import RuleSettings
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import SetKey
 
 
 def schema_of(path):
@@ -238,7 +242,12 @@ EVIDENCE = {
     "rate_not_verified_reason": "48 sets",
     "consecutive_poor_sets": 2,
     "supply_quality": "no_communication",
-    "confirmation": {"set_index": 10_000_003, "confirms": None, "reason": "a feature is missing"},
+    "confirmation": {
+        "set_index": 3,
+        "unscheduled_index": 1,
+        "confirms": None,
+        "reason": "a feature is missing",
+    },
 }
 ALARM_0013 = {
     "id": 1,
@@ -382,6 +391,87 @@ def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_pa
         for event, (topic, kind, payload) in zip(events, EVENTS_0013, strict=True):
             line = {**values(event), "topic": topic, "kind": kind, "payload": payload}
             assert current_row("events", line) == values(event) == current_row("events", values(event))
+
+
+NUMBER = 20_000_003
+"""Set 3.2 in schema 0015 and earlier."""
+_SET = {
+    "method": "solitary_wave",
+    "due_utc_ns": 0,
+    "state": "done",
+    "n_planned": 1,
+    "n_taken": 1,
+    "n_valid": 1,
+}
+_SHOT = {"shot_index": 0, "attempt": 0, "utc_ns": 1, "mono_ns": 1, "boot_id": "", "crc32": 1, "valid": True}
+_RESULT = {"due_h": 2.0, "extractor_version": "1", "quality": "good"}
+_ALARM = {
+    "kind": "instruments_unavailable",
+    "alarm_class": "diagnostic",
+    "priority": "high",
+    "message": "m",
+    "state": "normal",
+    "raised_utc_ns": 1,
+    "raised_h": 2.0,
+    "changed_utc_ns": 1,
+}
+ROWS_0015 = {
+    "sets": {"due_h": 2.0, **_SET},
+    "shots": {**_SHOT, "flags": []},
+    "features": {**_RESULT, "n_valid": 1},
+    "thickness": _RESULT,
+    "assessments": {"due_h": 2.0, "in_baseline": False, "limit_name": "chart"},
+}
+EVENTS_0015 = [
+    ("alarms", "alarm_raised", {"raised_set_index": NUMBER, "evidence": {"set_index": NUMBER, "error": "e"}}),
+    ("service", "confirmation_asked", {"confirmation_set_index": NUMBER, "reason": "x"}),
+    ("service", "asked", {"set_index": 3, "shot_index": 1}),
+]
+
+
+def test_an_unscheduled_set_of_revision_0015_gets_its_own_column(tmp_path):
+    path = tmp_path / "catalogue.sqlite"
+    upgrade(path, "0015")
+    scheduled = SetRow(id=1, set_index=3, position="B", due_h=1.5, **_SET)
+    crc32 = row_crc32(scheduled)
+    with closing(sqlite3.connect(path)) as database, database:
+        insert(database, "experiment", id=1, name="t", configuration_hash="ab", configuration={}, uuid="u",
+               created_utc_ns=1, epoch_utc_ns=7, clock="wall", solimon_version="0")  # fmt: skip
+        insert(database, "sets", id=1, set_index=3, position="B", due_h=1.5, **_SET, row_crc32=crc32)
+        for number, (table, row) in enumerate(ROWS_0015.items(), start=2):
+            key = {"sequence": 7} if table == "shots" else {"id": number}
+            reference = {"sequence": 7} if table in ("features", "thickness") else {}
+            insert(database, table, **key, **reference, set_index=NUMBER, position="B", **row)
+        insert(database, "alarms", id=1, raised_set_index=NUMBER, evidence={"set_index": NUMBER}, **_ALARM)
+        for number, (topic, kind, payload) in enumerate(EVENTS_0015, start=1):
+            insert(database, "events", id=number, utc_ns=1, wall_utc_ns=2, topic=topic, kind=kind,
+                   payload=payload, set_index=NUMBER)  # fmt: skip
+    open_catalogue(tmp_path, writer=True).close()
+    assert rows_of(path, "sets", "row_crc32")[0] == (crc32,), "the row of a scheduled set stays as it is"
+    with open_catalogue(tmp_path) as catalogue:  # which compares every row with its checksum
+        assert catalogue.rows(SetRow) == [scheduled]
+        for kind in (SetRow, ShotRow, FeatureRow, ThicknessRow, AssessmentRow):
+            (row,) = catalogue.rows(kind, purpose="confirmation")
+            assert row.set_key == SetKey(3, 2)
+            assert catalogue.rows(kind, set_index=3, unscheduled_index=2) == [row]
+        (alarm,) = catalogue.rows(AlarmRow)
+        assert alarm.raised_set_key == SetKey(3, 2)
+        assert alarm.evidence == {"set_index": 3, "unscheduled_index": 2}
+        events = catalogue.rows(EventRow)
+        assert [event.set_key for event in events] == [SetKey(3, 2)] * 3
+        assert [event.payload for event in events] == [
+            {
+                "raised_set_index": 3,
+                "raised_unscheduled_index": 2,
+                "evidence": {"set_index": 3, "unscheduled_index": 2, "error": "e"},
+            },
+            {"confirmation_set_index": 3, "confirmation_unscheduled_index": 2, "reason": "x"},
+            {"set_index": 3, "shot_index": 1},
+        ]
+        for event, (topic, kind, payload) in zip(events, EVENTS_0015, strict=True):
+            line = {**values(event), "topic": topic, "kind": kind, "payload": payload, "set_index": NUMBER}
+            del line["unscheduled_index"]
+            assert EventRow(**current_row("events", line)) == event, "a line of the history is the same row"
 
 
 def test_an_interrupted_migration_leaves_a_filled_catalogue_unchanged(tmp_path):

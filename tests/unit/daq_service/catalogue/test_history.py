@@ -11,6 +11,7 @@ from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentE
 from daq_service.catalogue.experiment_file import HISTORY_FILE
 from daq_service.catalogue.history import HistoryFollower, line_of, parse_lines, read_history
 from daq_service.catalogue.rows import CommandRow, EventRow, SetRow
+from hardware_drivers.measurement import SetKey
 
 
 @pytest.fixture
@@ -41,7 +42,7 @@ def test_the_history_holds_experiment_events_command_states_and_files(catalogue,
     catalogue.finish_command(order, "done", "paused")
     catalogue.commit_set(SetCommit(sets=[set_row("A", file="sets/a.h5"), set_row("B", state="missed")]))
     follower.follow()
-    catalogue.set_digest(0, "sets/a.h5", "ab" * 32)
+    catalogue.set_digest(SetKey(0), "sets/a.h5", "ab" * 32)
     follower.note_digest("sets/a.h5", "ab" * 32)
     follower.follow()
     follower.follow()
@@ -74,7 +75,7 @@ def test_a_digest_missing_after_a_crash_is_written_at_the_next_start(catalogue, 
     files = {stored(catalogue, index): f"{index}" * 64 for index in range(3)}
     follower.follow()
     for index, (file, sha256) in enumerate(files.items()):
-        catalogue.set_digest(index, file, sha256)
+        catalogue.set_digest(SetKey(index), file, sha256)
     assert read_history(tmp_path).digests == {}
     for _ in range(2):
         HistoryFollower(tmp_path, catalogue).begin()
@@ -85,7 +86,7 @@ def test_a_digest_missing_after_a_crash_is_written_at_the_next_start(catalogue, 
 def test_a_start_reads_only_the_end_of_a_long_history(catalogue, follower, tmp_path, monkeypatch):
     for index in range(20):
         file = stored(catalogue, index)
-        catalogue.set_digest(index, file, f"{index:064d}")
+        catalogue.set_digest(SetKey(index), file, f"{index:064d}")
         follower.note_digest(file, f"{index:064d}")
         follower.follow()
     path = tmp_path / HISTORY_FILE

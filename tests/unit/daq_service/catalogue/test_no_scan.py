@@ -21,6 +21,7 @@ from daq_service.catalogue.rows import (
 from daq_service.catalogue.tables import events, shots
 from daq_service.catalogue.trends import trend_bins, trend_part
 from daq_service.catalogue.writer import due_time_counts
+from hardware_drivers.measurement import SetKey
 
 POSITIONS = {"A": "pulse_echo", "B": "solitary_wave", "C": "solitary_wave"}
 GROWING = ("sets", "shots", "features", "thickness", "environment", "assessments", "events", "trend_blocks")
@@ -149,8 +150,8 @@ def test_counts_and_latest_rows_equal_those_from_all_rows(tmp_path, seed):
         assert catalogue.last_service_event("pause", "resume") == (held[-1] if held else None)
         assert catalogue.last_service_event("recorder_stopped") is None
         assert catalogue.last_ended_utc_ns() == max(row.ended_utc_ns or 0 for row in rows)
-        assert catalogue.committed_sets() == {row.set_index for row in rows}
-        assert catalogue.committed_sets({3, 99}) == {3}
+        assert catalogue.committed_sets() == {row.set_key for row in rows}
+        assert catalogue.committed_sets({SetKey(3), SetKey(99)}) == {SetKey(3)}
         reading = filtered_rows(catalogue.rows(ThicknessRow), {"travel_time_s": 1e-6})
         assert catalogue.first_reading("A") == reading[0]
         tried = [row for row in rows if row.position == "B" and row.n_taken]
@@ -199,7 +200,7 @@ def test_no_frequent_query_reads_every_row(tmp_path):
         catalogue.last_rows(ThicknessRow, "A", 64)
         catalogue.last_ended_utc_ns()
         catalogue.next_sequence()
-        catalogue.committed_sets({4})
+        catalogue.committed_sets({SetKey(4)})
         catalogue.n_stored("B", 3, 17)
         catalogue.last_rows(SetRow, "B", 1, last_h=13.1)
         for first_h, last_h in ((None, None), (2.2, 13.1)):
@@ -217,7 +218,7 @@ def test_no_frequent_query_reads_every_row(tmp_path):
             if scanned is not None and scanned[1] in GROWING:
                 # In the order of the ids a page ends where it is full: every row belongs to it, or one in 11,
                 # except for the few unscheduled sets.
-                asked = re.sub(r"WHERE \w+\.set_index < \?", "", sql)
+                asked = re.sub(r"WHERE \w+\.unscheduled_index = \?", "", sql)
                 filtered = "WHERE" in asked and "shot_index IS" not in asked
                 page = "LIMIT" in sql and not scanned[2] and not filtered
                 assert page, (sql, values, steps)

@@ -15,6 +15,7 @@ from daq_service.catalogue.errors import CatalogueDamagedError
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, FeatureRow, SetRow, ThicknessRow
 from daq_service.catalogue.stored_rows import row_crc32
 from daq_service.catalogue.writer import SetCommit
+from hardware_drivers.measurement import SetKey
 
 SET = SetRow(
     set_index=3, position="B", method="solitary_wave", due_utc_ns=10**18, due_h=2, state="done", n_planned=4
@@ -103,7 +104,7 @@ def test_a_new_empty_column_changes_no_checksum():
 def test_changed_rows_get_their_checksum_again(folder):
     with open_catalogue(folder, writer=True) as catalogue:
         catalogue.restore([replace(SET, id=1, file="sets/a.h5"), replace(SET, id=9, position="C")])
-        catalogue.set_digest(3, "sets/a.h5", "ab" * 32)
+        catalogue.set_digest(SetKey(3), "sets/a.h5", "ab" * 32)
         assert catalogue.without_digest() == {}
         catalogue.commit_set(SetCommit(sets=[replace(SET, position="D")]))
         rows = catalogue.rows(SetRow)

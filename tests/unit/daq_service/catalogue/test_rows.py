@@ -16,7 +16,7 @@ from daq_service.web.answers.json_answer import with_utc
 from daq_service.web.answers.vocabulary import VOCABULARY
 
 KINDS = [kind for kind in vars(rows).values() if isinstance(kind, type) and issubclass(kind, rows.Row)]
-KINDS.remove(rows.Row)
+KINDS = [kind for kind in KINDS if kind not in (rows.Row, rows.RowOfSet)]
 ANSWERED = [kind for kind in KINDS if hasattr(models, kind.__name__)]
 EXAMPLES = {bytes: b"\x00\xff", bool: True, dict: {}, float: 1.5, int: 7, list: [], str: "text"}
 

@@ -38,6 +38,7 @@ from daq_service.processes.data_folder import CACHES, LOCKS, SOURCES, own_data_f
 from daq_service.processes.lost_sets import FILED_WITHIN_S, lost_sets
 from daq_service.processes.notifications.delivery_log import Delivery, DeliveryLog
 from daq_service.recording.reassessment.rebuild import rebuild
+from hardware_drivers.measurement import SetKey
 
 PAGE = Path(__file__).parents[4] / "docs" / "reference" / "data-folder.md"
 FOLDERS = Path(__file__).parents[3] / "fixtures" / "folders"
@@ -436,7 +437,9 @@ def test_repair_restores_a_file_from_the_journal_or_quarantines_it(folder):
     content = (folder / FILES[2]).read_bytes()
     (folder / FILES[2]).unlink()
     with closing(FolderArchive(folder)) as archive:
-        archive.begin_set(2, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={})
+        archive.begin_set(
+            SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
+        )
         for item in record.records:
             archive.append(item, item.stamp.utc_ns)
         archive.store_set(record)
@@ -564,7 +567,7 @@ def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
     record = FolderSetReader(folder).read_set(FILES[2])
     (folder / FILES[2]).unlink()
     with closing(FolderArchive(folder)) as archive:
-        archive.begin_set(2, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
+        archive.begin_set(SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
         for item in record.records:
             archive.append(item, item.stamp.utc_ns)
         archive.store_set(record)
@@ -574,9 +577,9 @@ def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
         assert FolderSetReader(copy).read_set(FILES[2]).set_index == 2
         assert segment_path(copy, 1).stat().st_size < 10**6, "the room for what is to come is left out"
     with open_catalogue(folder) as catalogue:
-        compact_set(folder, 2, results=results_in(catalogue, 2))
+        compact_set(folder, SetKey(2), results=results_in(catalogue, SetKey(2)))
     with closing(FolderArchive(folder)) as archive:
-        archive.settle(2)
+        archive.settle(SetKey(2))
     back_up(folder, copy)
     assert list((copy / "journal").iterdir()) == []
     assert verify_folder(copy).damage == []

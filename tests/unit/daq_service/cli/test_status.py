@@ -196,7 +196,7 @@ def test_status_shows_the_disk_forecast(filled, level, message):
 def test_status_shows_the_result_of_the_last_confirmation_set(filled):
     facts = describe_status(filled.folder, filled.settings)["confirmations"]
     assert facts == {"sets": 0, "last": None, "left_today": {"B": 2, "C": 2, "D": 2}}
-    index = filled.add_confirmation("C", SETS - 1, authors=("", "ann"))
+    set_key = filled.add_confirmation("C", SETS - 1, authors=("", "ann"))
     facts = describe_status(filled.folder, filled.settings)
     experiment_text = facts["confirmations"]
     assert experiment_text["left_today"] == {"B": 2, "C": 1, "D": 2}, "a person's are not counted"
@@ -205,7 +205,8 @@ def test_status_shows_the_result_of_the_last_confirmation_set(filled):
         experiment_text["last"]["position"],
         experiment_text["last"]["confirms"],
     ) == (1, "C", True)
-    assert (experiment_text["last"]["set_index"], experiment_text["last"]["age_h"]) == (index, 0.0)
+    last = experiment_text["last"]
+    assert ((last["set_index"], last["unscheduled_index"]), last["age_h"]) == (set_key, 0.0)
     assert line_of(status_lines(facts), "confirm") == (
         "confirm  1 confirmation sets; left today: B 2, C 1, D 2. The last was at C. "
         "Confirmed: the set at 2024-01-02T01:01:00Z (hour 25.02), squared distance 400, beyond the limit of "

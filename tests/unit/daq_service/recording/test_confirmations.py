@@ -18,11 +18,11 @@ from daq_service.assessment.confirmation import newest_confirmation
 from daq_service.catalogue.rows import AssessmentRow, CommandRow, FeatureRow, SetRow
 from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.recording.reassessment.rebuild import rebuild
-from hardware_drivers.measurement import PLANNED_SETS, in_order
+from hardware_drivers.measurement import SetKey
 
 SETS, FIRST = 22, 17
 """The first sick set; the baseline ends with set 15."""
-AFTER_FIRST, AFTER_THIRD = PLANNED_SETS + FIRST, PLANNED_SETS + FIRST + 2
+AFTER_FIRST, AFTER_THIRD = SetKey(FIRST, 1), SetKey(FIRST + 2, 1)
 
 
 def settings(schedule=None, baseline=None, **alarms):
@@ -36,13 +36,15 @@ def settings(schedule=None, baseline=None, **alarms):
 
 def deviating(*sets, position="B", shift=1.0):
     """Return a script in which a transducer deviates in some scheduled sets and their confirmation sets."""
-    return lambda key: healthy(key, shift * (key.position == position and in_order(key.set_index)[0] in sets))
+    return lambda key: healthy(key, shift * (key.position == position and key.set_index in sets))
 
 
 def with_incident_wave(key):
     """Return the same shot with a healthy incident wave, so that a diagnosis is possible."""
     found = deviating(*range(FIRST, SETS))(key)
-    noise = np.random.default_rng([ord(key.position[0]), key.set_index, key.shot_index, 1]).standard_normal(2)
+    noise = np.random.default_rng(
+        [ord(key.position[0]), key.set_key.number, key.shot_index, 1]
+    ).standard_normal(2)
     height_v, width_s = 0.5 * (1.0 + 0.01 * noise[0]), 65e-6 * (1.0 + 0.01 * noise[1])
     return replace(found, isw_amplitude_v=float(height_v), isw_fwhm_s=float(width_s))
 
@@ -56,10 +58,12 @@ def line(tmp_path):
 
 def send_at(line, place, kind, **arguments):
     """Send a command once, when a shot is read."""
-    script, left = line.script, [place]
+    position, index, shot_index = place
+    key = index if isinstance(index, SetKey) else SetKey(index)
+    script, left = line.script, [(position, key, shot_index)]
 
     def ordering(key):
-        if (key.position, key.set_index, key.shot_index) in left:
+        if (key.position, key.set_key, key.shot_index) in left:
             left.clear()
             line.order(kind, **arguments)
         return script(key)
@@ -70,6 +74,10 @@ def send_at(line, place, kind, **arguments):
 def confirmation_rows(line, kind=SetRow):
     with line.catalogue() as catalogue:
         return catalogue.rows(kind, purpose="confirmation")
+
+
+def key_of(confirmation):
+    return SetKey(confirmation["set_index"], confirmation["unscheduled_index"])
 
 
 def the_alarm(line):
@@ -88,7 +96,7 @@ def undisturbed(tmp_path_factory):
 def test_an_outlier_causes_an_immediate_confirmation_set_at_its_position(undisturbed):
     line = undisturbed
     first, third = confirmation_rows(line)
-    assert [(row.position, row.set_index, row.state) for row in (first, third)] == [
+    assert [(row.position, row.set_key, row.state) for row in (first, third)] == [
         ("B", AFTER_FIRST, "done"),
         ("B", AFTER_THIRD, "done"),
     ]
@@ -102,7 +110,7 @@ def test_an_outlier_causes_an_immediate_confirmation_set_at_its_position(undistu
         (planned,) = catalogue.rows(SetRow, position="B", set_index=FIRST)
         assert first.due_utc_ns == first.started_utc_ns == planned.ended_utc_ns
         assert first.due_h == pytest.approx(planned.due_h + (12 * 4.0 - 4.0) / 3600.0)
-        confirmation = newest_confirmation(catalogue, "B", FIRST)
+        confirmation = newest_confirmation(catalogue, "B")
         assert newest_confirmation(catalogue, "C") is None
     assert confirmation.confirms is True
     assert confirmation.distance_squared > confirmation.limit
@@ -112,7 +120,7 @@ def test_the_evidence_of_the_alarm_has_the_confirmation_result(undisturbed):
     changes = [row for row in undisturbed.rows("events") if row.position == "B" and row.topic == "alarms"]
     assert [row.kind for row in changes] == ["alarm_raised", "alarm_evidence_added"]
     proven = [row.payload["evidence"]["confirmation"] for row in changes]
-    assert [confirmation["set_index"] for confirmation in proven] == [AFTER_FIRST, AFTER_THIRD]
+    assert [key_of(confirmation) for confirmation in proven] == [AFTER_FIRST, AFTER_THIRD]
     assert the_alarm(undisturbed).evidence["confirmation"] == proven[1]
     assert proven[1]["confirms"] is True
 
@@ -125,10 +133,10 @@ def test_a_persistent_change_does_not_cause_a_confirmation_after_every_set(undis
 
 
 def test_a_single_odd_set_is_not_confirmed(line):
-    line.script = lambda key: healthy(key, 1.0 * (key.position == "B" and key.set_index == FIRST))
+    line.script = lambda key: healthy(key, 1.0 * (key.position == "B" and key.set_key == SetKey(FIRST)))
     line.run()
     (row,) = confirmation_rows(line)
-    assert row.set_index == AFTER_FIRST
+    assert row.set_key == AFTER_FIRST
     (assessment,) = confirmation_rows(line, AssessmentRow)
     assert (assessment.confirms, assessment.outlier, assessment.in_baseline) == (False, False, False)
     assert not [row for row in line.rows("alarms") if row.kind == "wall_change"]
@@ -163,7 +171,7 @@ def test_the_daily_budget_is_kept_and_a_command_does_not_count(line):
 
     send_at(line, ("D", FIRST + 1, 0), "strike", position="B", note="what is it?")
     line.run()
-    assert [row.set_index for row in confirmation_rows(line)] == [AFTER_FIRST, PLANNED_SETS + FIRST + 1]
+    assert [row.set_key for row in confirmation_rows(line)] == [AFTER_FIRST, SetKey(FIRST + 1, 1)]
     requests = [row.payload for row in line.rows("events") if row.kind == "confirmation_asked"]
     assert [payload["author"] for payload in requests] == ["", "Ada"]
     assert requests[1]["reason"] == "what is it?"
@@ -205,7 +213,7 @@ def test_a_restart_during_a_confirmation_set_continues_it_once(line):
     stop = threading.Event()
 
     def stopping(key):
-        if (key.set_index, key.shot_index) == (AFTER_FIRST, 1):
+        if (key.set_key, key.shot_index) == (AFTER_FIRST, 1):
             stop.set()
         return deviating(*range(FIRST, SETS))(key)
 
@@ -217,14 +225,14 @@ def test_a_restart_during_a_confirmation_set_continues_it_once(line):
     assert first.state == "done"
     again = [key for key in line.instruments[1].struck if key[1] == AFTER_FIRST]
     assert again == [("B", AFTER_FIRST, 2, 0), ("B", AFTER_FIRST, 3, 0)]
-    assert [row.set_index for row in confirmation_rows(line)] == [AFTER_FIRST, AFTER_THIRD]
+    assert [row.set_key for row in confirmation_rows(line)] == [AFTER_FIRST, AFTER_THIRD]
 
 
 def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line):
     stop = threading.Event()
 
     def stopping(key):
-        if (key.set_index, key.shot_index) == (AFTER_FIRST, 3):
+        if (key.set_key, key.shot_index) == (AFTER_FIRST, 3):
             stop.set()
         return with_incident_wave(key)
 
@@ -232,16 +240,16 @@ def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line)
     run(line, stop=stop)
     line.script = with_incident_wave
     run(line)
-    confirmations = [(row.set_index, row.diagnosis) for row in confirmation_rows(line, AssessmentRow)]
+    confirmations = [(row.set_key, row.diagnosis) for row in confirmation_rows(line, AssessmentRow)]
     assert confirmations == [(AFTER_FIRST, COUPLING), (AFTER_THIRD, COUPLING)]
     causes = {row.set_index: row.diagnosis for row in line.rows("assessments") if row.position == "B"}
     assert [causes[index] for index in (FIRST, FIRST + 1, SETS - 1)] == [UNDETERMINED, COUPLING, COUPLING]
     (alarm,) = (row for row in line.rows("alarms") if row.position == "B")
     assert alarm.kind == "transducer_change"
-    assert alarm.evidence["confirmation"]["set_index"] == AFTER_THIRD
+    assert key_of(alarm.evidence["confirmation"]) == AFTER_THIRD
     before = table_rows(line.folder)
     assert verify_folder(line.folder).damage == []
-    files = {read_set(line.folder / row.file).set_index for row in confirmation_rows(line)}
+    files = {read_set(line.folder / row.file).set_key for row in confirmation_rows(line)}
     assert files == {AFTER_FIRST, AFTER_THIRD}
     lose_catalogue(line.folder)
     assert rebuild(line.folder, features_of=line.features_of).warnings == []
@@ -261,8 +269,8 @@ class DyingArchive(MemoryArchive):
         self.stored = stored
 
     def store_set(self, record):
-        done = super().store_set(record) if self.stored or record.set_index < PLANNED_SETS else None
-        if record.set_index > PLANNED_SETS:
+        done = super().store_set(record) if self.stored or not record.unscheduled_index else None
+        if record.unscheduled_index:
             raise Killed
         return done
 
@@ -273,7 +281,7 @@ def test_a_crash_at_its_file_leaves_one_confirmation_set(line, undisturbed, stor
         line.run(archive=DyingArchive(line, stored=stored))
     assert not confirmation_rows(line)
     line.run()
-    facts = ("set_index", "position", "state", "n_taken", "due_utc_ns", "purpose")
+    facts = ("set_key", "position", "state", "n_taken", "due_utc_ns", "purpose")
     rows = [
         [tuple(getattr(row, name) for name in facts) for row in confirmation_rows(item)]
         for item in (line, undisturbed)
@@ -297,7 +305,7 @@ def test_a_confirmation_set_that_is_too_late_after_a_restart_is_closed_as_it_is(
     stop = threading.Event()
 
     def stopping(key):
-        if key.set_index == AFTER_FIRST:
+        if key.set_key == AFTER_FIRST:
             stop.set()
         return deviating(*range(FIRST, SETS))(key)
 
@@ -306,5 +314,5 @@ def test_a_confirmation_set_that_is_too_late_after_a_restart_is_closed_as_it_is(
     line.script = deviating(*range(FIRST, SETS))
     line.run(start_h=9.6, archive=MemoryArchive(line.shelf))
     row = confirmation_rows(line)[0]
-    assert (row.set_index, row.state, row.n_taken) == (AFTER_FIRST, "partial", 1)
+    assert (row.set_key, row.state, row.n_taken) == (AFTER_FIRST, "partial", 1)
     assert row.cause.startswith("it takes up to 29 s, and the next planned set is due in 0 s")

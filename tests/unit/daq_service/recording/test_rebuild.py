@@ -30,7 +30,7 @@ from daq_service.processes.lost_catalogue import is_catalogue_lost
 from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.reassessment import restore_rows
 from daq_service.recording.reassessment.rebuild import BUILDING, rebuild
-from hardware_drivers.measurement import ShotKey
+from hardware_drivers.measurement import SetKey, ShotKey
 
 
 @pytest.fixture(scope="module")
@@ -236,7 +236,7 @@ def test_results_are_computed_again_and_a_different_copy_causes_a_warning(line):
     before = table_rows(line.folder)
     file = set_files(line.folder)[1]
     with open_catalogue(line.folder) as catalogue:
-        copy = {name: dict(columns) for name, columns in results_in(catalogue, 1).items()}
+        copy = {name: dict(columns) for name, columns in results_in(catalogue, SetKey(1)).items()}
     copy["features"]["tof_pp_s"] = [1.0, *copy["features"]["tof_pp_s"][1:]]
     file.write_bytes(build_image(replace(read_set(file), results=copy)))
     lose_catalogue(line.folder)

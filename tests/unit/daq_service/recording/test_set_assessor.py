@@ -22,7 +22,7 @@ from daq_service.clock import parse_utc
 from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.instruments import Echo, Rig
-from hardware_drivers.measurement import PLANNED_SETS, ShotKey, Waveform, in_order
+from hardware_drivers.measurement import ShotKey, Waveform
 from simulator.echo.pulse import echo_calibration, echo_volts
 from simulator.electronics.transduction import counts_of
 from simulator.parameters.echo import EchoParameters
@@ -77,7 +77,7 @@ def due_of(line, index):
 
 def assess_set(ledger, line, record, file):
     features = {shot.sequence: line.features_of(shot) for shot in record.shots}
-    due = due_of_record(record) if record.set_index >= PLANNED_SETS else due_of(line, record.set_index)
+    due = due_of_record(record) if record.unscheduled_index else due_of(line, record.set_index)
     ledger.commit(ledger.assessed(due, record, file, features))
 
 
@@ -88,9 +88,7 @@ def test_a_restart_after_any_set_does_not_change_the_assessments(line):
         alarms={"decides_by": "chart", "false_alarms_per_sensor_year": 50.0},
     )
     wall = {"B": 0.008, "C": 0.0, "D": 0.1}
-    line.script = lambda key: healthy(
-        key, shift=wall.get(key.position, 0.0) * max(0, in_order(key.set_index)[0] - 15)
-    )
+    line.script = lambda key: healthy(key, shift=wall.get(key.position, 0.0) * max(0, key.set_index - 15))
     line.run()
     expected = {name: line.rows(name) for name in ("assessments", "alarms", "features", "baselines")}
     raised = [row for row in expected["alarms"] if row.kind == "wall_change"]
@@ -107,7 +105,7 @@ def test_a_restart_after_any_set_does_not_change_the_assessments(line):
     ] * 3
     again = Line(line.folder.parent / "again", line.settings, line.script)
     again.folder.mkdir()
-    for record in sorted(line.shelf.sets.values(), key=lambda record: in_order(record.set_index)):
+    for record in sorted(line.shelf.sets.values(), key=lambda record: record.set_key):
         with assessor_of(again) as ledger:  # a new one for every set
             assess_set(ledger, again, record, f"sets/{record.set_index}")
     assert {name: again.rows(name) for name in expected} == expected

@@ -8,6 +8,8 @@ import pytest
 from support.filled_folder import filled_folder
 from support.served_web import served
 
+from hardware_drivers.measurement import SetKey
+
 
 @pytest.fixture(scope="module")
 def filled(tmp_path_factory):
@@ -15,7 +17,9 @@ def filled(tmp_path_factory):
         for index in range(3):
             folder.add_set(index, stored=index < 2)
         file = next(iter(sorted((folder.folder / "sets").iterdir())))
-        folder.catalogue.set_digest(0, f"sets/{file.name}", hashlib.sha256(file.read_bytes()).hexdigest())
+        folder.catalogue.set_digest(
+            SetKey(0), f"sets/{file.name}", hashlib.sha256(file.read_bytes()).hexdigest()
+        )
         (folder.folder / "sets" / "set_000009_secret.h5").write_bytes(b"not the catalogue's")
         yield folder
 

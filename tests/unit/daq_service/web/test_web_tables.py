@@ -303,3 +303,18 @@ def test_the_list_of_tables_has_columns_units_and_formats(api):
     assert listing["formats"] == list(FORMATS)
     (features,) = [item for item in listing["items"] if item["table"] == "features"]
     assert {"name": "tof_pp_s", "form": "number", "unit": "s"} in features["columns"]
+
+
+def test_an_unscheduled_set_has_one_key_in_rows_filters_and_paths(api):
+    for path in ("sets", "assessments", "features?scope=set"):
+        listing = f"/api/v1/{path}{'&' if '?' in path else '?'}position=C&set_index="
+        (planned,), (unscheduled,) = (api.get(listing + key).json()["items"] for key in ("10", "10.1"))
+        keys = [(row["set_index"], row["unscheduled_index"]) for row in (planned, unscheduled)]
+        assert keys == [(10, 0), (10, 1)]
+        assert api.get(listing + "10.2").json()["items"] == []
+        assert api.get(listing + "10.").status_code == 422
+    missing = api.get("/api/v1/sets/C/10.1/shots")
+    assert (missing.status_code, missing.json()["detail"]) == (
+        404,
+        "No shot of position C, set 10.1 is stored.",
+    )

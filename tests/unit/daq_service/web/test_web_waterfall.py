@@ -19,6 +19,7 @@ from daq_service.catalogue import SetCommit
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.web.context import context_of
 from daq_service.web.routes.waterfall import MOST_COLUMNS, MOST_ROWS
+from hardware_drivers.measurement import SetKey
 
 N_SETS = 9
 MISSED = {4, 5}
@@ -45,7 +46,7 @@ def read(answer):
 def expected_extremes(filled, position, header, index):
     """Return the extremes of a set's samples in the columns of a figure, computed from its file."""
     record = read_set(set_files(filled.folder)[index])
-    anchors = anchors_of(results_in(filled.catalogue, index))
+    anchors = anchors_of(results_in(filled.catalogue, SetKey(index)))
     rate = header["sample_rate_hz"]
     low = np.full(header["columns"], np.inf)
     high = np.full(header["columns"], -np.inf)
@@ -198,10 +199,14 @@ def test_tiles_give_the_same_waterfall_and_the_service_writes_none(api, filled):
     queries = ["B?rows=50", "B?rows=3&align=isw", "A?columns=9&align=first_echo", "D?as=difference"]
     before = [read(api.get(f"/api/v1/waterfall/{query}")) for query in queries]
     assert not (filled.folder / TILES_FOLDER).exists()
-    files = {index: f"sets/{path.name}" for index, path in set_files(filled.folder).items()}
+    files = {SetKey(index): f"sets/{path.name}" for index, path in set_files(filled.folder).items()}
     name = experiment_identity(filled.catalogue.experiment_row())
     corruption = rebuild_tiles(
-        filled.folder, name, files, lambda index: results_in(filled.catalogue, index), lambda done, of: None
+        filled.folder,
+        name,
+        files,
+        lambda key: results_in(filled.catalogue, key),
+        lambda done, of: None,
     )
     assert corruption == []
     # Another service, which has nothing in its memory and no records.

@@ -22,6 +22,7 @@ from daq_service.settings.tree import Settings
 from daq_service.web.answers.problem import Problem
 from daq_service.web.routes.waveforms import extremes_per_bin
 from daq_service.web.streams.live_figures import decode_header
+from hardware_drivers.measurement import SetKey
 
 
 @pytest.fixture(scope="module")
@@ -128,7 +129,7 @@ def test_npy_is_time_and_volts(api, filled):
 def test_a_record_that_the_client_has_is_not_read_again(service, api, filled, form, monkeypatch):
     url = f"/api/v1/waveforms/B/0/0?format={form}"
     (row,) = filled.catalogue.rows(SetRow, position="B", set_index=0)
-    filled.catalogue.set_digest(0, row.file, "ab" * 32)
+    filled.catalogue.set_digest(SetKey(0), row.file, "ab" * 32)
     etag = api.get(url).headers["etag"]
     assert etag != api.get(f"{url}&points=8").headers["etag"]
     monkeypatch.setattr(service.app.state.context, "archive", None)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from hardware_drivers.measurement import PLANNED_SETS
+from hardware_drivers.measurement import SetKey
 from simulator.experiment import processes
 from simulator.experiment.processes import (
     LAGS,
@@ -22,12 +22,14 @@ WIDE, SETS = 1_000, 80
 DRAWN = (processes._innovations, processes._reseats, processes.draw_slow_drift, processes.is_noisy_hour)
 
 
-def series(memory, dof=5.0, seed=1, sets=SETS, first=0):
+def series(memory, dof=5.0, seed=1, sets=SETS, first=0, unscheduled=0):
     """Shape (sets, WIDE): as many independent processes side by side."""
     weights = memory_weights(np.full(WIDE, memory))
     return np.array(
         [
-            autocorrelated_values(weights, dof, seed=seed, position="B", set_index=first + k)
+            autocorrelated_values(
+                weights, dof, seed=seed, position="B", set_key=SetKey(first + k, unscheduled)
+            )
             for k in range(sets)
         ]
     )
@@ -49,7 +51,7 @@ def test_the_autocorrelation_of_sets_is_that_of_an_ar1_process(memory):
 def test_an_unscheduled_set_is_correlated_with_the_scheduled_set_before_it(memory):
     last = LAGS - 1  # the next planned set lies in the next block
     planned, following = series(memory, sets=2, first=last)
-    unscheduled, another = (series(memory, sets=1, first=n * PLANNED_SETS + last)[0] for n in (1, 2))
+    unscheduled, another = (series(memory, sets=1, first=last, unscheduled=n)[0] for n in (1, 2))
     # As between neighbouring planned sets. 4 of 1 / sqrt(n), widened by the kurtosis of t5.
     slack = 4.0 * np.sqrt(3.0 / WIDE)
     assert (unscheduled * planned).mean() == pytest.approx(memory, abs=slack)
@@ -118,7 +120,7 @@ def test_every_value_is_independent_of_the_order_of_computation():
         weights = memory_weights(np.linspace(0.0, 0.8, 5))
         return np.concatenate(
             [
-                autocorrelated_values(weights, 5.0, seed=3, position="C", set_index=set_index),
+                autocorrelated_values(weights, 5.0, seed=3, position="C", set_key=SetKey(set_index)),
                 slow_drift(
                     0.5 * set_index, draw_slow_drift(Purpose.SEATING_WANDER, 3, "C", 5, 48.0, 1_000.0)
                 ),

@@ -9,8 +9,8 @@ from hardware_drivers.measurement import ShotKey
 from simulator.numerics.keyed_random import Purpose, generator
 
 
-def draws(seed=1, purpose=Purpose.NOISE, position="B", set_index=3, shot_index=2, attempt=0):
-    key = ShotKey(position=position, set_index=set_index, shot_index=shot_index, attempt=attempt)
+def draws(seed=1, purpose=Purpose.NOISE, position="B", set_index=3, shot_index=2, **parts):
+    key = ShotKey(position=position, set_index=set_index, shot_index=shot_index, **parts)
     return generator(seed, purpose, key=key).standard_normal(4)
 
 
@@ -29,10 +29,16 @@ def test_the_same_key_gives_the_same_numbers_in_any_order():
         {"set_index": 4},
         {"shot_index": 3},
         {"attempt": 1},
+        {"unscheduled_index": 1},
     ],
 )
 def test_each_part_of_the_key_changes_the_numbers(changed):
     assert not np.any(draws(**changed) == draws())
+
+
+def test_an_unscheduled_set_has_the_numbers_that_earlier_versions_gave_it():
+    """Its key was one number: an earlier test that is played again has the same waveforms."""
+    np.testing.assert_array_equal(draws(unscheduled_index=2), draws(set_index=20_000_003))
 
 
 def test_set_and_shot_index_do_not_run_into_each_other():

@@ -1,0 +1,96 @@
+"""Give the number of an unscheduled set its own column: it was part of ``set_index``.
+
+SQLite cannot change a unique constraint, so tables with the key are copied. Rows of scheduled sets keep their
+checksums, those of unscheduled sets get theirs when all migrations are done (`seal_unsealed`).
+"""
+
+from __future__ import annotations
+
+import re
+
+import orjson
+import sqlalchemy as sa
+from alembic import op
+
+from daq_service.catalogue.earlier_names import current_row
+from daq_service.catalogue.stored_rows import json_text
+
+revision = "0016"
+down_revision = "0015"
+
+_KEY = "position, set_index, unscheduled_index"
+_OF_SETS = ("sets", "shots", "features", "thickness", "assessments")
+"""Tables with the key; one that refers to another follows it."""
+_SETS_OF_A_PLAN = 10_000_000
+"""An unscheduled set had the index of the scheduled one before it and this number times its own number."""
+_LARGE = [f'*set_index":{space}{"[0-9]" * 8}*' for space in ("", " ")]
+"""JSON texts with such an index."""
+
+
+def upgrade() -> None:
+    indices = [sql for table in _OF_SETS for sql in _definitions("index", table)]
+    for table in _OF_SETS:
+        _add_column(table, "unscheduled_index")
+        (definition,) = _definitions("table", table)
+        copy = re.sub(
+            rf"CONSTRAINT uq_{table}_\w+ UNIQUE \(position, set_index",
+            f"CONSTRAINT uq_{table}_{_KEY.replace(', ', '_')} UNIQUE ({_KEY}",
+            definition.replace(table, f"{table}_0016", 1).replace(
+                "REFERENCES shots ", "REFERENCES shots_0016 "
+            ),
+        )
+        _execute(copy)
+        _execute(f"INSERT INTO {table}_0016 SELECT * FROM {table}")
+        _split(f"{table}_0016", "set_index", "unscheduled_index")
+    for table in reversed(_OF_SETS):
+        op.drop_table(table)
+    for table in _OF_SETS:
+        op.rename_table(f"{table}_0016", table)
+    for definition in indices:
+        renamed = definition.replace("position_set_index", "position_set_index_unscheduled_index")
+        _execute(renamed.replace("(position, set_index", f"({_KEY}"))
+    for table in _OF_SETS:
+        few = sa.text("unscheduled_index > 0")
+        op.create_index(f"ix_{table}_unscheduled", table, _KEY.split(", "), sqlite_where=few)
+    _split_rows("alarms", "raised_set_index", "raised_unscheduled_index", "evidence")
+    _split_rows("events", "set_index", "unscheduled_index", "payload")
+
+
+def _split_rows(table: str, index: str, number: str, nested: str) -> None:
+    """Add the column to a table whose nested values contain keys of sets, too."""
+    driver = op.get_bind().connection.driver_connection
+    assert driver is not None
+    driver.create_function("current_json", 1, _current_json, deterministic=True)
+    _add_column(table, number)
+    _split(table, index, number)
+    has_large = " OR ".join(f"{nested} GLOB '{large}'" for large in _LARGE)
+    _execute(f"UPDATE {table} SET {nested} = current_json({nested}), row_crc32 = NULL WHERE {has_large}")
+
+
+def _current_json(text: str) -> str:
+    """Return nested values with current keys of sets."""
+    return json_text(current_row("", orjson.loads(text)))
+
+
+def _add_column(table: str, name: str) -> None:
+    """Add the number of an unscheduled set, 0 for a scheduled one."""
+    op.add_column(table, sa.Column(name, sa.Integer(), nullable=False, server_default="0"))
+
+
+def _split(table: str, index: str, number: str) -> None:
+    """Split the indices of unscheduled sets."""
+    _execute(
+        f"UPDATE {table} SET {number} = {index} / {_SETS_OF_A_PLAN}, {index} = {index} % {_SETS_OF_A_PLAN}, "
+        f"row_crc32 = NULL WHERE {index} >= {_SETS_OF_A_PLAN}"
+    )
+
+
+def _definitions(kind: str, table: str) -> list[str]:
+    """Return the statements that made a table or its indices."""
+    statement = "SELECT sql FROM sqlite_master WHERE type = ? AND tbl_name = ? AND sql IS NOT NULL"
+    return [sql for (sql,) in op.get_bind().exec_driver_sql(statement, (kind, table))]
+
+
+def _execute(statement: str) -> None:
+    """Execute a statement as it is: a colon in it is no parameter."""
+    op.get_bind().exec_driver_sql(statement)
