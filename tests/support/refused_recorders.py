@@ -30,8 +30,7 @@ from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import open_catalogue, stored_rows
 from daq_service.catalogue.rows import AlarmRow
-from daq_service.clock import WallClock, parse_utc
-from daq_service.commands.execution import CommandExecutor
+from daq_service.clock import MachineClock, WallClock, parse_utc
 from daq_service.errors import StorageError
 from daq_service.processes.child import log_to
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
@@ -75,6 +74,7 @@ class Time:
     def __init__(self) -> None:
         self.now_ns = parse_utc("2026-01-01T00:00:00Z")
         self.look: Callable[[], None] = lambda: None
+        self.machine = MachineClock(mono_ns=self.ns, elapsed_ns=self.ns, utc_ns=self.ns, sleep=self.sleep)
 
     def ns(self) -> int:
         return self.now_ns
@@ -104,9 +104,8 @@ def injected(clock: Time) -> Iterator[None]:
     """Let everything in this process use a simulated clock."""
     named: dict[Callable[..., Any], dict[str, Any]] = {
         SetFinalizer.__init__: {"mono_s": clock.s},
-        Heartbeat.__init__: {"mono_ns": clock.ns},
+        Heartbeat.__init__: {"machine": clock.machine},
         LiveFigure.__init__: {"mono_ns": clock.ns},
-        CommandExecutor.__init__: {"mono_ns": clock.ns},
         shared_file.patiently: {"pause": clock.sleep},
     }
     with ExitStack() as stack:
@@ -129,7 +128,7 @@ def record(
 ) -> bool:
     """Record once, to the end or until ``stop``."""
     with in_memory(instruments) as opener, injected(clock):
-        wall_clock = partial(WallClock, system_ns=clock.ns, elapsed_ns=clock.ns, sleep=clock.sleep)
+        wall_clock = partial(WallClock, machine=clock.machine)
         prepare_data_folder(folder)
         with own_data_folder(folder):
             sweep(folder)
