@@ -276,8 +276,8 @@ def _with_diagnosis(
     return replace(assessment, cause=cause, diagnosis_state=diagnosis_state, origin=origin)
 
 
-def reinstated(state: State) -> State:
-    """Clear the faults that retired the transducer, because a person has reinstated it."""
+def enabled(state: State) -> State:
+    """Clear the faults that retired the transducer, because a person has enabled it."""
     return replace(state, hole=HoleState(), poor_sets=0)
 
 

@@ -9,6 +9,7 @@ the static preload, 1 % of the incident wave (twin, any depth: .9 %). Fractions 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -204,24 +205,30 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
     return levels[aside] if levels[0] > END_NEAREST * levels[aside] else 0.0
 
 
-def noise_free_flags(record: ReducedRecord, rate_hz: float) -> set[str]:
+def noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> list[set[str]]:
     """Find stretches without noise: the flags of lost samples, of a plateau, of a line.
 
     Lost samples were replaced by zeros, by the last one, or by a line between their neighbours.
     """
-    samples = record.samples_v
     stride = max(1, round(CLOSEST_ALIKE_S * rate_hz))
-    coarse = samples[::stride]
-    rise = coarse[1:] - coarse[:-1]
-    code_v = _smallest_step(rise)
-    between = [stride // 4, stride // 2, 3 * stride // 4]
-    # Samples in columns, one a stride: its quarters are rows.
-    table = samples[: rise.size * stride].reshape(rise.size, stride).T[between]
-    table -= coarse[:-1] + rise * (np.array(between) / stride)[:, None]
-    near = np.logical_and.reduce(np.abs(table, out=table) <= STRAIGHT_CODES * code_v)
-    if not (near[1:] & near[:-1]).any():
-        return set()
-    steps = np.diff(samples)
+    n = (records[0].samples_v.size - 1) // stride
+    coarse = np.array([record.samples_v[::stride] for record in records])
+    rise = coarse[:, 1:] - coarse[:, :-1]
+    code_v = np.where(rise != 0.0, np.abs(rise), math.inf).min(axis=1)
+    is_near = np.ones(rise.shape, dtype=bool)
+    for between in (stride // 4, stride // 2, 3 * stride // 4):
+        departs = np.array([record.samples_v[between : n * stride : stride] for record in records])
+        departs -= coarse[:, :-1] + rise * (between / stride)
+        is_near &= np.abs(departs, out=departs) <= STRAIGHT_CODES * code_v[:, None]
+    suspect = np.asarray((is_near[:, 1:] & is_near[:, :-1]).any(axis=1))
+    return [
+        _stretches_without_noise(record, rate_hz) if is_suspect else set()
+        for record, is_suspect in zip(records, suspect.tolist(), strict=True)
+    ]
+
+
+def _stretches_without_noise(record: ReducedRecord, rate_hz: float) -> set[str]:
+    steps = np.diff(record.samples_v)
     shortest = max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz)
     found = _find_constant_stretches(record, steps, shortest)
     code_v = _smallest_step(steps)

@@ -68,6 +68,9 @@ JUMP_PART = 0.7
 STIRRED_SNR = 6.0
 """Height near the trigger over the noise's rms; the highest of 200 samples of noise alone stays below 5."""
 
+RECORDS_AT_ONCE = 32
+"""So that a long file needs little memory."""
+
 FEATURE_NAMES = (
     "tof_pp_s",
     "tof_ac_s",
@@ -289,11 +292,30 @@ def extract_from_volts(
 def _extract(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
+    kinds: dict[tuple[int, float, int], list[int]] = {}
+    for number, one in enumerate(given):
+        kinds.setdefault(one.kind, []).append(number)
+    found: dict[int, ShotFeatures] = {}
+    for numbers in kinds.values():
+        for k in range(0, len(numbers), RECORDS_AT_ONCE):
+            together = numbers[k : k + RECORDS_AT_ONCE]
+            alike = [given[number] for number in together]
+            found.update(zip(together, _extract_alike(alike, settings, with_sd=with_sd), strict=True))
+    return [found[number] for number in range(len(given))]
+
+
+def _extract_alike(
+    given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool
+) -> list[ShotFeatures]:
+    """Return the features of records of one kind (`VoltRecord.kind`)."""
     records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
+    rate_hz = given[0].sample_rate_hz
     flagged = [
-        _flags(record, found, settings, one)
-        for record, found, one in zip(records, pulses, given, strict=True)
+        _flags(record, found, settings, rate_hz, still, at_trigger)
+        for record, found, still, at_trigger in zip(
+            records, pulses, noise_free_flags(records, rate_hz), _at_trigger(records), strict=True
+        )
     ]
     # What something else started looks like a wave at times, and so does what is left of a record.
     measured: list[dict[str, Any]] = [
@@ -305,13 +327,15 @@ def _extract(
     return [
         ShotFeatures(
             **values,
-            **_quality_of(flags),
+            **_quality_of(flags | {"clipped"} if one.clipped else flags),
             noise_rms_v=record.noise_rms_v,
             pull_fraction=pull,
             outline=_outline(record, found),
             sd=standard_deviations(record, found, values, settings) if with_sd else {},
         )
-        for record, found, (flags, pull), values in zip(records, pulses, flagged, measured, strict=True)
+        for one, record, found, (flags, pull), values in zip(
+            given, records, pulses, flagged, measured, strict=True
+        )
     ]
 
 
@@ -321,20 +345,17 @@ def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
 
 
 def _flags(
-    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, given: VoltRecord
+    record: ReducedRecord,
+    pulses: Pulses,
+    settings: ExtractionSettings,
+    rate_hz: float,
+    still: set[str],
+    at_trigger: tuple[bool, bool],
 ) -> tuple[set[str], float]:
-    """Return a shot's flags, and `ShotFeatures.pull_fraction`."""
-    flags, pull = _flags_of_pulses(record, pulses, settings, given.sample_rate_hz)
-    return flags | {"clipped"} if given.clipped else flags, pull
-
-
-def _flags_of_pulses(
-    record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings, rate_hz: float
-) -> tuple[set[str], float]:
-    still = noise_free_flags(record, rate_hz)
+    """Return a shot's flags without that of its counts, and `ShotFeatures.pull_fraction`."""
     if "lost_samples" in still:
         return still, math.nan
-    spiked, stirred = _at_trigger(record)
+    spiked, stirred = at_trigger
     if spiked:
         return {"false_trigger"}, math.nan
     if pulses.inverted:
@@ -378,31 +399,32 @@ def _has_moved(
     return {flag for flag, is_seen in seen.items() if is_seen}, pull
 
 
-def _at_trigger(record: ReducedRecord) -> tuple[bool, bool]:
-    """Check whether the record jumps at its trigger, and whether it moves there at all.
+def _at_trigger(records: Sequence[ReducedRecord]) -> list[tuple[bool, bool]]:
+    """Check whether each record jumps at its trigger, and whether it moves there at all.
 
     A wave needs 20 us to half its height: within `JUMP_S` before and after the trigger it rises by less than
     a quarter of what it reaches in `FRONT_S`. A coil's spike is at its height at once, and nothing in the
     record is much higher; a crest of noise that started the record before the wave is small next to it.
     """
-    rate_hz = record.block_samples / record.step_s
-    trigger = round(0.5 * (record.block_samples - 1) - record.first_s * rate_hz)
+    first = records[0]
+    rate_hz = first.block_samples / first.step_s
+    trigger = round(0.5 * (first.block_samples - 1) - first.first_s * rate_hz)
     jump, front = max(1, round(JUMP_S * rate_hz)), max(2, round(FRONT_S * rate_hz))
-    before = record.samples_v[max(0, trigger - 2 * jump) : max(0, trigger - jump)] - record.offset_v
-    after = record.samples_v[trigger : trigger + front] - record.offset_v
+    begin, end = max(0, trigger - 2 * jump), max(0, trigger - jump)
+    near = np.array([record.samples_v[begin : trigger + front] - record.offset_v for record in records])
+    before, after = near[:, : end - begin], near[:, trigger - begin :]
     if before.size == 0 or after.size == 0:
-        return False, False
-    height = max(_largest_magnitude(after), _largest_magnitude(before))
-    stirred = height > STIRRED_SNR * record.noise_rms_v
-    if not stirred:
-        return False, False
-    risen = _largest_magnitude(after[: jump + 1] - before.sum() / before.size)
-    return risen >= JUMP_PART * height and risen >= JUMP_PART * _largest_magnitude(record.blocks_v), True
-
-
-def _largest_magnitude(values: FloatArray) -> float:
-    """Return the largest distance from zero."""
-    return max(float(values.max()), -float(values.min()))
+        return [(False, False)] * len(near)
+    height = np.maximum(np.abs(after).max(axis=1), np.abs(before).max(axis=1))
+    stirred = height > STIRRED_SNR * np.array([record.noise_rms_v for record in records])
+    means = np.ascontiguousarray(before).sum(axis=1) / before.shape[1]
+    risen = np.abs(after[:, : jump + 1] - means[:, None]).max(axis=1)
+    jumped = stirred & (risen >= JUMP_PART * height)
+    spiked = [
+        jumps and risen_v >= JUMP_PART * float(np.abs(record.blocks_v).max())
+        for record, jumps, risen_v in zip(records, jumped.tolist(), risen.tolist(), strict=True)
+    ]
+    return list(zip(spiked, stirred.tolist(), strict=True))
 
 
 def _compute_features(

@@ -10,14 +10,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.fft import irfft, rfft
 from numpy.typing import NDArray
 
 from analysis.errors import InvalidInputError, RecordError
-from analysis.waves.fft_length import apply_by_kind, fast_length
+from analysis.waves.fft_length import fast_length
 
 FloatArray = NDArray[np.float64]
 
@@ -192,6 +191,15 @@ def moving_mean(values: FloatArray, width: int) -> FloatArray:
     return np.correlate(values, mean_weights(width), "same")
 
 
+def moving_means(rows: FloatArray, width: int) -> FloatArray:
+    """Return the moving mean of each row, shape (n_rows, n)."""
+    # One correlation of all, with zeros between them.
+    gap, (n_rows, n) = width // 2, rows.shape
+    spaced = np.zeros(n_rows * (n + gap) + 2 * gap)
+    spaced[gap : spaced.size - gap].reshape(n_rows, n + gap)[:, :n] = rows
+    return np.correlate(spaced, mean_weights(width), "valid").reshape(n_rows, n + gap)[:, :n]
+
+
 @lru_cache(maxsize=64)
 def mean_weights(width: int) -> FloatArray:
     """Return equal weights whose sum is 1, shape (width,)."""
@@ -335,9 +343,14 @@ class VoltRecord:
     pretrigger_samples: int
     clipped: bool = False
 
+    @property
+    def kind(self) -> tuple[int, float, int]:
+        """Return length, rate and pre-trigger."""
+        return self.samples_v.size, self.sample_rate_hz, self.pretrigger_samples
+
 
 def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) -> list[ReducedRecord]:
-    """Compute block means, quiet level, noise and matched filter of each record.
+    """Compute block means, quiet level, noise and matched filter of records of one kind (`VoltRecord.kind`).
 
     The quiet level is the median of the block means before the trigger that also lie at least
     3/4 FWHM before the first rise to half of the record's extreme: the foot of an ISW that itself fired the
@@ -347,63 +360,54 @@ def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) ->
     Raises
     ------
     RecordError
-        No sample before the trigger, sample rate too low for the pulse, or record shorter than the
+        No sample before the trigger, sample rate too low for the pulse, or records shorter than the
         search windows.
     """
-    levelled = [
-        _remove_offset(one.samples_v, one.sample_rate_hz, one.pretrigger_samples, settings) for one in given
-    ]
-    blocks = [one["blocks_v"] for one in levelled]
-    widths = [settings.kernel_width_s / one["step_s"] for one in levelled]
-    kinds = [(width, row.size) for width, row in zip(widths, blocks, strict=True)]
-    matched = apply_by_kind(blocks, kinds, lambda rows, kind: matched_filter(rows, kind[0]))
-    return [
-        ReducedRecord(
-            **one,
-            matched_v=row,
-            matched_noise_v=one["block_noise_v"] * noise_gain(width),
-        )
-        for one, row, width in zip(levelled, matched, widths, strict=True)
-    ]
-
-
-def _remove_offset(
-    samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int, settings: ExtractionSettings
-) -> dict[str, Any]:
-    """Compute all fields of a `ReducedRecord` except the matched filter's."""
+    n_samples, sample_rate_hz, pretrigger_samples = given[0].kind
     block_samples = max(1, math.floor(settings.block_s * sample_rate_hz * (1.0 + 1e-9)))
     step_s = block_samples / sample_rate_hz
-    _check_record(samples_v.size, sample_rate_hz, pretrigger_samples, step_s, settings)
-    n_blocks = samples_v.size // block_samples
-    complete_blocks = samples_v[: n_blocks * block_samples].reshape(n_blocks, block_samples)
-    # einsum, not matmul: a threaded BLAS on a busy machine waits milliseconds for its threads.
-    blocks = np.einsum("ij->i", complete_blocks) / block_samples
+    _check_record(n_samples, sample_rate_hz, pretrigger_samples, step_s, settings)
+    n_blocks = n_samples // block_samples
+    blocks = np.empty((len(given), n_blocks))
+    for row, one in zip(blocks, given, strict=True):
+        complete_blocks = one.samples_v[: n_blocks * block_samples].reshape(n_blocks, block_samples)
+        # einsum, not matmul: a threaded BLAS on a busy machine waits milliseconds for its threads.
+        np.einsum("ij->i", complete_blocks, out=row)
+    blocks /= block_samples
 
     pretrigger_blocks = max(1, pretrigger_samples // block_samples)
-    level = median(blocks[:pretrigger_blocks])
-    smooth = np.abs(moving_mean(blocks - level, 2 * round(5e-6 / step_s) + 1))
-    onset = int((smooth >= 0.5 * smooth.max()).argmax())
-    quiet = min(pretrigger_blocks, onset - math.ceil(0.75 * settings.isw_fwhm_s / step_s))
-    if quiet * step_s < 10e-6:
-        quiet = pretrigger_blocks
-    offset = median(blocks[:quiet])
+    level = column_medians(blocks[:, :pretrigger_blocks].T)
+    rise = np.abs(moving_means(blocks - level[:, None], 2 * round(5e-6 / step_s) + 1))
+    onset = (rise >= 0.5 * rise.max(axis=1)[:, None]).argmax(axis=1)
+    quiet = np.minimum(pretrigger_blocks, onset - math.ceil(0.75 * settings.isw_fwhm_s / step_s))
+    quiet[quiet * step_s < 10e-6] = pretrigger_blocks
+    offset = [median(row[:n_quiet]) for row, n_quiet in zip(blocks, quiet.tolist(), strict=True)]
+    blocks -= np.array(offset)[:, None]
 
-    blocks -= offset
-    smooth_blocks = odd(TOP_SMOOTHING_S / step_s)
-    noise = noise_rms(samples_v)
-    return {
-        "blocks_v": blocks,
-        "smooth_v": moving_mean(blocks, smooth_blocks),
-        "smooth_blocks": smooth_blocks,
-        "first_s": ((block_samples - 1) / 2 - pretrigger_samples) / sample_rate_hz,
-        "step_s": step_s,
-        "block_samples": block_samples,
-        "samples_v": samples_v,
-        "offset_v": offset,
-        "noise_rms_v": noise,
-        "block_noise_v": block_noise(blocks, noise / math.sqrt(block_samples)),
-        "quiet_blocks": quiet,
-    }
+    smooth_blocks, width = odd(TOP_SMOOTHING_S / step_s), settings.kernel_width_s / step_s
+    smooth, matched = moving_means(blocks, smooth_blocks), matched_filter(blocks, width)
+    records = []
+    for k, one in enumerate(given):
+        noise_v = noise_rms(one.samples_v)
+        block_noise_v = block_noise(blocks[k], noise_v / math.sqrt(block_samples))
+        records.append(
+            ReducedRecord(
+                blocks_v=blocks[k],
+                smooth_v=smooth[k],
+                smooth_blocks=smooth_blocks,
+                matched_v=matched[k],
+                first_s=((block_samples - 1) / 2 - pretrigger_samples) / sample_rate_hz,
+                step_s=step_s,
+                block_samples=block_samples,
+                samples_v=one.samples_v,
+                offset_v=offset[k],
+                noise_rms_v=noise_v,
+                block_noise_v=block_noise_v,
+                matched_noise_v=block_noise_v * noise_gain(width),
+                quiet_blocks=int(quiet[k]),
+            )
+        )
+    return records
 
 
 def minimum_after_isw_s(settings: ExtractionSettings) -> float:

@@ -35,7 +35,7 @@ SUPPRESSION = (
 """Columns of an alarm about its suppression."""
 NOT_SUPPRESSED: Mapping[str, Any] = MappingProxyType(dict.fromkeys(SUPPRESSION))
 RETIRING = ("no_reflection", "transducer_disabled")
-"""Kinds of alarm that stop a transducer's strikes until a person reinstates it."""
+"""Kinds of alarm that stop a transducer's strikes until a person enables it."""
 ALARMS_OF_CHANGE = ("wall_change", "transducer_change")
 """Kinds of alarm with the result of a confirmation set in their evidence; the diagnosis selects one."""
 NOT_ASSESSED = "not_assessed"

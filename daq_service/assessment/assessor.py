@@ -104,6 +104,6 @@ class Assessor(Protocol):
         """Assess a set without any record; ``n_tried`` shots were tried, repetitions not counted."""
         ...
 
-    def reinstate(self) -> None:
-        """Clear the faults that retired the transducer, because a person has reinstated it."""
+    def enable(self) -> None:
+        """Clear the faults that retired the transducer, because a person has enabled it."""
         ...

@@ -58,7 +58,7 @@ class PulseEchoAssessor:
         alarm = next_alarm_state(self.state.alarm, self.too_thin(row), self._rule)
         self.state = replace(self.state, alarm=alarm)
 
-    def reinstate(self) -> None:
+    def enable(self) -> None:
         """Do nothing, because a probe is never retired."""
 
     def assess_set(

@@ -99,10 +99,10 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
         )
         for row in rows
     }
-    enabled_at = _first_sets_after_reinstatements(position, catalogue)
+    enabled_at = _first_sets_after_enabling(position, catalogue)
     for row in sorted(catalogue.rows(SetRow, position=position, purpose="any"), key=lambda row: row.id or 0):
         if row.set_index in enabled_at:
-            assessor.reinstate()
+            assessor.enable()
         if is_assessed(row):
             follow(
                 assessor,
@@ -114,7 +114,7 @@ def follow_stored_sets(assessor: Assessor, catalogue: Catalogue, archive: SetRea
                 ),
             )
     if NEVER in enabled_at:
-        assessor.reinstate()
+        assessor.enable()
 
 
 def is_assessed(row: SetRow) -> bool:
@@ -137,8 +137,8 @@ def _accepted_flags(catalogue: Catalogue, row: SetRow) -> list[list[str]]:
     return [shot.flags for shot in shots if shot.outcome == ACCEPTED]
 
 
-def _first_sets_after_reinstatements(position: str, catalogue: Catalogue) -> set[int]:
-    """Return the sets that were committed first after a transducer was reinstated; `NEVER`: none was."""
+def _first_sets_after_enabling(position: str, catalogue: Catalogue) -> set[int]:
+    """Return the sets that were committed first after a transducer was enabled; `NEVER`: none was."""
     found = set()
     for event in catalogue.rows(EventRow, topic="alarms", kind="alarm_reset", position=position):
         if event.payload["kind"] in RETIRING:

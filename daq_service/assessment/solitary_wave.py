@@ -17,7 +17,7 @@ from analysis.assessment.step import (
     SetOfShots,
     State,
     assess_alone,
-    reinstated,
+    enabled,
     step,
 )
 from analysis.diagnosis.diagnose import Diagnosis
@@ -84,9 +84,9 @@ class SolitaryWaveAssessor:
         """Return the id of the baseline that the state belongs to."""
         return self._baseline_id
 
-    def reinstate(self) -> None:
-        """Clear the faults that retired the transducer, because a person has reinstated it."""
-        self.state = reinstated(self.state)
+    def enable(self) -> None:
+        """Clear the faults that retired the transducer, because a person has enabled it."""
+        self.state = enabled(self.state)
 
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]

@@ -6,7 +6,7 @@ The list of limits is imported when it is needed: SciPy comes with it, which is 
 from __future__ import annotations
 
 from daq_service.catalogue.rows import AssessmentRow, BaselineRow
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import AlarmSettings
 
 
 def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
@@ -28,9 +28,9 @@ def statistic_of(row: AssessmentRow, limit_name: str) -> float | None:
     return columns[name] if name in columns else (row.statistics or {}).get(name)
 
 
-def deciding_chart(row: AssessmentRow | None, settings: Settings) -> tuple[float, float] | None:
+def deciding_chart(row: AssessmentRow | None, alarms: AlarmSettings) -> tuple[float, float] | None:
     """Return statistic and limit of the chart if it raises the wall alarm; None if it does not."""
-    if row is None or row.mewma_statistic is None or settings.alarms.decides_by != "chart":
+    if row is None or row.mewma_statistic is None or alarms.decides_by != "chart":
         return None
     from analysis.statistics.named_limits import CHART
 

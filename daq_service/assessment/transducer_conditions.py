@@ -211,7 +211,7 @@ def device_conditions(
         priority="high",
         present=0 < quality.retire_after_sets <= poor,
         latched=True,
-        message=f"{finding}: the transducer strikes no more; {action}, then reinstate it",
+        message=f"{finding}: the transducer strikes no more; {action}, then enable it",
     )
     return [few_valid_shots, disabled]
 

@@ -1,4 +1,4 @@
-"""Read rows with the names of schema 0013 and earlier: columns, nested keys, kinds and states.
+"""Read rows with the names of schema 0014 and earlier: columns, nested keys, kinds and states.
 
 The migration stores them with the current names; the history keeps its lines, which are converted as they
 are read. No current name is also an earlier one of the same table, so current rows stay as they are.
@@ -78,6 +78,12 @@ _VALUES: Mapping[tuple[str, str], Mapping[str, str]] = {
     ("events", "topic"): TOPICS,
     ("events", "kind"): EVENT_KINDS,
     ("commands", "kind"): COMMAND_KINDS,
+    ("commands", "state"): {"refused": "rejected"},
+    **{
+        (table, name): {"lost": "no_communication"}
+        for table in ("environment", "evidence")
+        for name in ("supply_quality", "climate_quality")
+    },
 }
 _NESTED = ("baseline_quality", "evidence", "confirmation")
 

@@ -61,7 +61,7 @@ from hardware_drivers.methods import PULSE_ECHO
 R = TypeVar("R", bound=Row)
 
 _KEY = "key_of_the_row"
-ANSWERS: tuple[CommandState, ...] = ("done", "refused", "expired", "failed")
+ANSWERS: tuple[CommandState, ...] = ("done", "rejected", "expired", "failed")
 
 
 @dataclass(slots=True, kw_only=True, eq=False)

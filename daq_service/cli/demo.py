@@ -77,7 +77,7 @@ def _run_on(
     with stop_on_signals() as stop:
         with ProgressReport(news_to_stderr=as_json) as progress:
             progress.line(f"data: {folder}")
-            report_full_disk(folder, settings, progress.line)
+            report_full_disk(folder, settings.storage, progress.line)
             for note in running.notes:
                 progress.line(note)
             address_printer = _AddressPrinter(progress.line, open_page if browser else lambda url: False)

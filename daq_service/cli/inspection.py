@@ -18,6 +18,7 @@ from daq_service.errors import UsageError
 from daq_service.processes.data_folder import data_folder
 from daq_service.processes.disk_policy import disk_usage
 from daq_service.settings.file import load_settings
+from daq_service.settings.notifications import NotificationSettings
 from daq_service.settings.schema import schema_with_kinds
 from daq_service.settings.tree import Settings
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
@@ -29,7 +30,7 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
         click.echo(json.dumps(schema_with_kinds(), indent=1))
         return
     settings = load_settings(config)
-    facts = describe_plan(settings, data_folder(settings, config, data_dir))
+    facts = describe_plan(settings, data_folder(settings.storage, config, data_dir))
     if as_json:
         click.echo(json.dumps(facts))
         return
@@ -49,7 +50,7 @@ def print_configuration(*, config: Path | None, data_dir: Path | None, schema: b
     )
     click.echo(f"free disk  {facts['free_bytes'] / 1e9:.1f} GB at {facts['data_folder']}")
     click.echo(f"end        {facts['end_utc']} ({settings.clock.kind} clock)")
-    _print_receivers(settings)
+    _print_receivers(settings.notifications)
     if facts["stored_bytes"] > facts["free_bytes"]:
         click.echo(
             "WARNING: the disk is too small for this test; free space or choose another --data-dir", err=True
@@ -71,11 +72,11 @@ def _print_baseline(settings: Settings, facts: dict[str, Any]) -> None:
         )
 
 
-def _print_receivers(settings: Settings) -> None:
+def _print_receivers(notifications: NotificationSettings) -> None:
     """Print the receivers of alarms, and missing addresses; the service may run as another user."""
     from daq_service.processes.notifications.addresses import address_of, shown_address
 
-    for name, receiver in settings.notifications.receivers.items():
+    for name, receiver in notifications.receivers.items():
         click.echo(f"receiver   {name}: {receiver.kind}, {shown_address(receiver)}")
         try:
             address_of(name, receiver)

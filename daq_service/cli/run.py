@@ -50,7 +50,7 @@ from daq_service.processes.notifications.service import standing_by
 from daq_service.processes.printing import print_line
 from daq_service.processes.service_manager import notify, service_manager_notifications
 from daq_service.processes.supervisor import ChildPlan, Message, Supervisor
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import Settings, StorageSettings
 from daq_service.settings.web import WebSettings
 
 if TYPE_CHECKING:
@@ -124,7 +124,7 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
                 progress.line(f"{child}: the schedule is done; {stays}")
 
         progress.line(f"data: {folder}")
-        report_full_disk(folder, settings, progress.line)
+        report_full_disk(folder, settings.storage, progress.line)
         supervisor = Supervisor(
             child_plans(config, folder, port=port, web=not no_web, linger=not no_web),
             folder,
@@ -136,9 +136,9 @@ def run_supervised(*, config: Path | None, data_dir: Path | None, port: int | No
         return EXIT_INTERRUPTED if stop.is_set() and code == EXIT_OK else code
 
 
-def report_full_disk(folder: Path, settings: Settings, report: Callable[[str], None]) -> None:
+def report_full_disk(folder: Path, storage: StorageSettings, report: Callable[[str], None]) -> None:
     """Report immediately why the recorder waits, since it cannot store an alarm yet."""
-    if reason := refusal(disk_space(folder, settings.storage), settings.storage):
+    if reason := refusal(disk_space(folder, storage), storage):
         report(f"WAITING: {reason}")
 
 

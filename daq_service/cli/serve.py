@@ -52,7 +52,7 @@ def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, 
     from daq_service.web.multi_test.app import create_app_of_many
 
     settings = load_settings(web)
-    service_folder = Path.cwd() / OWN_FOLDER if web is None else data_folder(settings, web, None)
+    service_folder = Path.cwd() / OWN_FOLDER if web is None else data_folder(settings.storage, web, None)
     folder = service_folder if data_dir is None else data_dir.absolute()
     refuse_unprotected_service(settings.web, folder)
     app = create_app_of_many(paths, settings, folder)

@@ -5,10 +5,10 @@ from __future__ import annotations
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import httpx
 from anyio.from_thread import start_blocking_portal
+from fastapi import FastAPI
 
 from daq_service.catalogue import open_catalogue
 from daq_service.client.connection import Connection
@@ -53,7 +53,7 @@ def folder_connection(folder: Path) -> Connection:
 class InProcess(httpx.BaseTransport):
     """Transport of requests to an application, on a separate event loop, as a notebook already runs one."""
 
-    def __init__(self, app: Any) -> None:
+    def __init__(self, app: FastAPI) -> None:
         self._app = app
         self._asgi = httpx.ASGITransport(app)
         self._portal_context = start_blocking_portal()

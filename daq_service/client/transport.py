@@ -11,7 +11,6 @@ import ssl
 from fnmatch import fnmatchcase
 from ipaddress import ip_address, ip_network
 from pathlib import Path
-from typing import Any
 from urllib.request import getproxies, proxy_bypass
 
 import httpx
@@ -35,8 +34,14 @@ def http_client(address: str, *, headers: dict[str, str], timeout_s: float) -> h
     variable = ""
     try:
         variable, proxy = proxy_of(url := httpx.URL(address))
-        options: dict[str, Any] = {"verify": _certificates(url.scheme), "proxy": proxy, "trust_env": False}
-        return httpx.Client(base_url=address, headers=headers, timeout=timeout_s, **options)
+        return httpx.Client(
+            base_url=address,
+            headers=headers,
+            timeout=timeout_s,
+            verify=_certificates(url.scheme),
+            proxy=proxy,
+            trust_env=False,
+        )
     except OSError as error:  # ssl.SSLError is one
         name = next(filter(os.environ.get, CERTIFICATES), "the package certifi")
         raise ClientError(f"{name} names no readable certificates ({error}); correct or unset it") from error

@@ -123,7 +123,7 @@ class CommandExecutor:
             order = parse_command(row.kind, row.author, row.arguments)
             result = order.carry_out(replace(self._test, store=transactions.append), row.id, self._facts())
         except (UsageError, ValueError) as error:
-            return _refused(row, error)
+            return _rejected(row, error)
         if callable(result):
             self._awaited[row.id] = result
             return self._poll_answer(row, result)
@@ -142,7 +142,7 @@ class CommandExecutor:
                 return None
         except ValueError as error:
             del self._awaited[row.id]
-            return _refused(row, error)
+            return _rejected(row, error)
         del self._awaited[row.id]
         log.info("command %d (%s) of %s: %s", row.id, row.kind, row.author, result)
         return "done", result
@@ -160,6 +160,6 @@ class CommandExecutor:
         )
 
 
-def _refused(row: CommandRow, error: Exception) -> Answer:
-    log.warning("command %d (%s) refused: %s", row.id, row.kind, error)
-    return "refused", str(error)
+def _rejected(row: CommandRow, error: Exception) -> Answer:
+    log.warning("command %d (%s) rejected: %s", row.id, row.kind, error)
+    return "rejected", str(error)

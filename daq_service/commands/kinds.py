@@ -482,7 +482,7 @@ class Enable(TransducerCommand):
         ]
         changes = [reset(row, self.author, self.arguments.note, moment) for row in standing]
         test.change_alarms(moment, *changes)
-        test.reinstated(position)
+        test.enabled(position)
         return f"{position} strikes again from the next set"
 
 

@@ -89,7 +89,7 @@ class RunningTest(StoredTest):
 
     Attributes
     ----------
-    reinstated
+    enabled
         Called with a position that may strike again.
     confirmation
         Returns the request for a confirmation set, from position, author and reason; may raise ValueError.
@@ -109,7 +109,7 @@ class RunningTest(StoredTest):
 
     clock: Clock
     stop: threading.Event
-    reinstated: Callable[[str], None]
+    enabled: Callable[[str], None]
     confirmation: Callable[[str, str, str], Transaction]
     positions: Sequence[str]
     settings: Settings

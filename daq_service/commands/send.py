@@ -87,8 +87,8 @@ def send_command(
     if as_json:
         names = ("id", "kind", "author", "arguments", "state", "result")
         click.echo(json.dumps({name: getattr(row, name) for name in names}))
-    if row.state == "refused":
-        raise UsageError(f"the recorder refused to {kind}: {row.result}")
+    if row.state == "rejected":
+        raise UsageError(f"the recorder rejected {kind}: {row.result}")
     if row.state == "started":
         raise BusyError(
             f"the recorder began order {order_id} ({kind}) and has not answered within "

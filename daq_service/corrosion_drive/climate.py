@@ -52,7 +52,7 @@ class ClimateLog:
 
     def not_responding(self) -> str:
         """Return the message of the alarm; empty while the probe responds."""
-        if self.quality() != "lost":
+        if self.quality() != "no_communication":
             return ""
         silent_s = self._log.silent_s(self._clock.mono_ns())
         return (

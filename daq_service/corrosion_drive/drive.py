@@ -386,7 +386,7 @@ class SupplyLogger:
         trip_reason = self._tripped or ""
         states: Mapping[AlarmKind, tuple[bool, str]] = {
             "supply_not_responding": (
-                self._supply_log.quality(now_ns) == "lost",
+                self._supply_log.quality(now_ns) == "no_communication",
                 f"Supply not responding, output state unknown. No reading for {silent_s:.0f} s: {read_error}",
             ),
             "supply_off_unexpectedly": (

@@ -55,8 +55,9 @@ class ReadingLog:
     def quality(self, now_ns: int) -> ReadingQuality:
         """Return the quality of the newest reading.
 
-        good: recent; stale: not read for long, or the last response is missing; lost: no response for long.
+        good: recent; stale: not read for long, or the last response is missing; no_communication: no
+        response for long.
         """
         if self.error:
-            return "lost" if self.is_too_old(now_ns) else "stale"
+            return "no_communication" if self.is_too_old(now_ns) else "stale"
         return "stale" if self._read_ns is None or self.is_too_old(now_ns) else "good"

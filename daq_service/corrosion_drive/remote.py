@@ -366,7 +366,7 @@ class RemoteDrive:
         return replace(
             aged,
             supply_state="unknown",
-            supply_quality="lost",
+            supply_quality="no_communication",
             unknown_s=None if row.unknown_s is None else row.unknown_s + since_s,
         )
 

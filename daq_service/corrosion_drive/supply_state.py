@@ -166,7 +166,7 @@ class SupplyStatus:
     last: SupplyState
     age_s: float | None
     tripped: str | None
-    unwatched: bool
+    watchdog_trip: bool
     switch_off_pending: bool
     process: bool | None
     written_age_s: float
@@ -182,11 +182,11 @@ def read_supply_status(folder: Path) -> SupplyStatus | None:
     good = process is not False and age_s is not None and age_s <= stored.good_for_s
     return SupplyStatus(
         state=stored.output if good else "unknown",
-        quality="good" if good else "stale" if process else "lost",
+        quality="good" if good else "stale" if process else "no_communication",
         last=stored.output,
         age_s=age_s,
         tripped=stored.state.tripped,
-        unwatched="supply_watchdog_trip" in stored.state.latched,
+        watchdog_trip="supply_watchdog_trip" in stored.state.latched,
         switch_off_pending=stored.state.must_switch_off,
         process=process,
         written_age_s=written_age_s,

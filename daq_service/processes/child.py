@@ -26,6 +26,7 @@ log = logging.getLogger(__name__)
 
 PROGRAM = (sys.executable, "-P", "-m", "daq_service.cli")
 """``solimon`` without its script. -P: a file of the present folder replaces no module of Python's."""
+FLUSHED_WITHIN_S = 2.0
 LOG_BYTES, LOG_FILES = 5_000_000, 5
 """Each child's log is rotated: at most 25 MB."""
 
@@ -156,7 +157,7 @@ def log_to(path: Path) -> None:
 
 
 @contextmanager
-def log_in_thread(path: Path, *, flush_within_s: float = 2.0) -> Iterator[None]:
+def log_in_thread(path: Path) -> Iterator[None]:
     """Write the log as `log_to` does, in a thread, so that a disk that hangs does not delay the caller."""
     log_to(path)
     root = logging.getLogger()
@@ -166,7 +167,7 @@ def log_in_thread(path: Path, *, flush_within_s: float = 2.0) -> Iterator[None]:
     try:
         yield
     finally:
-        end_s = time.monotonic() + flush_within_s
+        end_s = time.monotonic() + FLUSHED_WITHIN_S
         while not lines.empty() and time.monotonic() < end_s:
             time.sleep(0.01)
 

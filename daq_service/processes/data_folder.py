@@ -33,7 +33,7 @@ from daq_service.errors import (
 )
 from daq_service.settings.file import load_settings
 from daq_service.settings.stored import renamed
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import Settings, StorageSettings
 from daq_service.shared_file import (
     HINT_SUFFIX,
     PATIENCE_S,
@@ -352,12 +352,12 @@ def lock_text(folder: Path, name: str) -> str:
         return f"owner unreadable: {error.strerror}"
 
 
-def data_folder(settings: Settings, config: Path | None, data_dir: Path | None) -> Path:
+def data_folder(storage: StorageSettings, config: Path | None, data_dir: Path | None) -> Path:
     """Return ``--data-dir``, or the configuration's folder relative to its file."""
     if data_dir is not None:
         return data_dir.absolute()
     base = Path.cwd() if config is None else config.absolute().parent
-    return base / settings.storage.folder
+    return base / storage.folder
 
 
 def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:
@@ -381,7 +381,7 @@ def settings_and_folder(config: Path | None, data_dir: Path | None) -> tuple[Set
             raise
         log.warning("going on with the configuration that the catalogue keeps: %s", error)
         settings = stored
-    return settings, data_folder(settings, config, data_dir)
+    return settings, data_folder(settings.storage, config, data_dir)
 
 
 def settings_of_folder(config: Path | None, data_dir: Path | None) -> tuple[Settings, Path]:

@@ -16,12 +16,14 @@ from concurrent.futures import BrokenExecutor, Executor, Future, ProcessPoolExec
 from contextlib import contextmanager
 from functools import partial
 from importlib.metadata import version
-from typing import Any
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.worker import leave_with_parent
 from simulator.numerics.one_thread import one_blas_thread
+
+T = TypeVar("T")
 
 MOST_PROCESSES = 61
 """Windows waits for at most this many processes at once."""
@@ -104,13 +106,13 @@ def worker_lost() -> tuple[type[Exception], ...]:
     return (BrokenExecutor,) if distributed is None else (BrokenExecutor, distributed.KilledWorker)
 
 
-class _Task(Future[object]):
+class _Task(Future[T]):
     """Task that may be submitted several times."""
 
-    def __init__(self, call: Callable[[], Any]) -> None:
+    def __init__(self, call: Callable[[], T]) -> None:
         super().__init__()
         self.call, self.tries = call, 0
-        self.attempt: Future[object] | None = None
+        self.attempt: Future[T] | None = None
 
     def cancel(self) -> bool:
         """Cancel the task unless it runs."""
@@ -127,7 +129,7 @@ class _ProcessExecutor(Executor):
         self._workers, self._lock, self._closed = min(workers, MOST_PROCESSES), threading.Lock(), False
         self._pool = self._new_pool()
 
-    def submit(self, work: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
+    def submit(self, work: Callable[..., T], /, *args: object, **named: object) -> Future[T]:
         task = _Task(partial(work, *args, **named))
         self._submit_attempt(task)
         return task
@@ -141,7 +143,7 @@ class _ProcessExecutor(Executor):
         context = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(self._workers, mp_context=context, initializer=start_worker)
 
-    def _submit_attempt(self, task: _Task) -> None:
+    def _submit_attempt(self, task: _Task[T]) -> None:
         with self._lock:
             pool = self._pool
         try:  # without our lock: a pool that breaks holds its own lock during its callback
@@ -157,7 +159,7 @@ class _ProcessExecutor(Executor):
                 self._pool = self._new_pool()
             return self._pool
 
-    def _finish_attempt(self, task: _Task, pool: ProcessPoolExecutor, attempt: Future[object]) -> None:
+    def _finish_attempt(self, task: _Task[T], pool: ProcessPoolExecutor, attempt: Future[T]) -> None:
         if attempt.cancelled():
             Future.cancel(task)
             return
@@ -178,15 +180,15 @@ class _ClusterExecutor(Executor):
         self._executor = client.get_executor(pure=False)
         self.n_workers = sum(client.nthreads().values())
 
-    def submit(self, work: Callable[..., Any], /, *args: Any, **named: Any) -> Future[Any]:
-        future: Future[object] = self._executor.submit(_in_one_thread, work, *args, **named)
+    def submit(self, work: Callable[..., T], /, *args: object, **named: object) -> Future[T]:
+        future: Future[T] = self._executor.submit(_in_one_thread, work, *args, **named)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         self._executor.shutdown(wait=wait and not cancel_futures)
 
 
-def _in_one_thread(work: Callable[..., object], *args: object, **named: object) -> object:
+def _in_one_thread(work: Callable[..., T], *args: object, **named: object) -> T:
     with one_blas_thread():
         return work(*args, **named)
 

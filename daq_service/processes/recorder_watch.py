@@ -10,6 +10,7 @@ from bisect import bisect_left
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
+from typing import Literal
 
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
@@ -20,7 +21,7 @@ from daq_service.catalogue.store import NoDataYetError, open_for_one_command
 from daq_service.catalogue.writer import payload_of
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.freshness import Freshness
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import ScheduleSettings
 from hardware_drivers.nanoseconds import NS_PER_H
 
 MOST_RESTARTS, RESTARTS_WITHIN_S = 3, 600.0
@@ -35,19 +36,22 @@ class RecorderWatch:
 
     Parameters
     ----------
+    clock
+        Kind of the test's clock.
     catalogue
         Opens the catalogue, or returns the open one; `NoDataYetError` before the first record.
     """
 
     def __init__(
         self,
-        settings: Settings,
+        schedule: ScheduleSettings,
+        clock: Literal["simulated", "wall"],
         folder: Path,
         catalogue: Callable[[], Catalogue],
         *,
         machine: MachineClock = MACHINE,
     ) -> None:
-        self._settings, self._folder, self._catalogue = settings, folder, catalogue
+        self._schedule, self._clock, self._folder, self._catalogue = schedule, clock, folder, catalogue
         self._machine, self._first_s = machine, machine.mono_s()
         self._process, self._process_since_s, self._ended = 0, 0.0, True
         self._restarts: deque[float] = deque(maxlen=MOST_RESTARTS)
@@ -65,7 +69,7 @@ class RecorderWatch:
             catalogue = self._catalogue()
         except NoDataYetError:
             return
-        fresh = Freshness(self._folder, catalogue, self._settings.clock.kind)
+        fresh = Freshness(self._folder, catalogue, self._clock)
         recorded, rows = catalogue.newest_recorded(), catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)
         stored_ns = (recorded and recorded.ended_utc_ns) or 0
         self._count_restarts(fresh)
@@ -97,7 +101,7 @@ class RecorderWatch:
         elif len(self._restarts) == MOST_RESTARTS and now_s - self._restarts[0] <= RESTARTS_WITHIN_S:
             self._restarts.clear()
             return f"{MOST_RESTARTS} restarts in {RESTARTS_WITHIN_S / 60.0:.0f} min"
-        due_h = due_hours(self._settings.schedule.phases, end_h=self._settings.schedule.end_h)
+        due_h = due_hours(self._schedule.phases, end_h=self._schedule.end_h)
         since_h = max(stored_h, self._attended_h, due_h[0])
         following = bisect_left(due_h, since_h)
         index = min(max(following, 1), len(due_h) - 1)

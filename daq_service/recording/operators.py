@@ -30,7 +30,7 @@ def command_executor(resources: Resources, assessor: SetAssessor, waiting: Waiti
         alarms=assessor.alarms,
         annotations=lambda: catalogue.rows(AnnotationRow),
         store=assessor.commit,
-        reinstated=assessor.assessors.reinstate,
+        enabled=assessor.assessors.enable,
         confirmation=partial(_request_set, resources, assessor, waiting),
         settings=settings,
         next_set=lambda: waiting.next_set,

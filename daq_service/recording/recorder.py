@@ -100,7 +100,7 @@ class Recorder:
         if hindrance := self._hindrance(due):
             self._record_gap(due, hindrance)
             return
-        self._set_assessor.adopt()
+        self.waiting.attempt(self._set_assessor.adopt)
         self.waiting.announce(f"taking {_name_of(due)}")
         if due.position is None:
             self.waiting.next_set = due.set_index + 1

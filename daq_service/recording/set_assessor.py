@@ -174,6 +174,8 @@ class SetAssessor:
                 conditions = self.confirmations.with_result(confirmed, conditions, due.set_index)
             for condition in conditions:
                 self.carry_alarm(condition, moment, transaction)
+        if due.position is not None:
+            add_confirmation(self.alarms, due.position, transaction, moment)
         trouble, unanswered = record.trouble, self._unanswered(record)
         has_trouble = bool(trouble or unanswered)
         # One position that works proves nothing of the other instruments.
@@ -181,7 +183,6 @@ class SetAssessor:
             rig_now = rig_condition(due, trouble, unanswered, proven=self.proven)
             self.carry_alarm(rig_now, moment, transaction)
         if due.position is not None:
-            add_confirmation(self.alarms, due.position, transaction, moment)
             return transaction
         if self._may_end(None, RECORDER_NOT_RUNNING):
             self.carry_alarm(recorder_condition("", due.due_h), moment, transaction)
@@ -305,7 +306,7 @@ class SetAssessor:
             self.alarms |= {(row.position, row.kind): row for row in self._catalogue.rows(AlarmRow)}
             return
         # Not with a change that overtakes a set: the state is that after the set, which is not stored yet.
-        if indices or (self.assessors.reinstated and self._uncommitted is None):
+        if indices or (self.assessors.enabled and self._uncommitted is None):
             transaction.states |= self.assessors.changed_states()
         self._uncommitted = transaction if indices else self._uncommitted
         committed = self._catalogue.commit_set(transaction)
@@ -361,7 +362,7 @@ class PositionAssessors:
 
     Attributes
     ----------
-    reinstated
+    enabled
         A person has enabled a transducer since the states were stored.
     """
 
@@ -370,7 +371,7 @@ class PositionAssessors:
         self._rehearsal, self._configuration_hash = rehearsal, settings.configuration_hash()
         self._assessors: dict[str, Assessor] = {}
         self._stored: dict[str, object] = {}
-        self.reinstated = False
+        self.enabled = False
         for position in settings.positions:
             self[position]  # an error of its state is reported at the start
 
@@ -382,10 +383,10 @@ class PositionAssessors:
             )
         return self._assessors[position]
 
-    def reinstate(self, position: str) -> None:
+    def enable(self, position: str) -> None:
         """Reset the reason why a transducer was disabled: a person has enabled it."""
-        self[position].reinstate()
-        self.reinstated = True
+        self[position].enable()
+        self.enabled = True
 
     def renew(self, position: str) -> None:
         """Assess by what is stored from the next set on: a person has renewed the baseline."""
@@ -414,7 +415,7 @@ class PositionAssessors:
                 baseline_id=assessor.baseline_id,
                 configuration_hash=self._configuration_hash,
             )
-        self.reinstated = False
+        self.enabled = False
         return {row.place: row for row in rows}
 
 

@@ -66,7 +66,7 @@ class Waiting:
         for task in self._resources.tasks:  # none that can wait, while the disk takes nothing
             task.run_for(seconds if self._persistence.trouble is None else 0.0)
         self.storage.report()
-        self._try(partial(self._set_assessor.expire_shelves, self._resources.moment()))
+        self.attempt(partial(self._set_assessor.expire_shelves, self._resources.moment()))
         return self.within_set()
 
     def within_set(self) -> bool:
@@ -82,12 +82,12 @@ class Waiting:
         if now_s >= self._look_again_s:
             self._look_again_s = now_s + self._resources.host.listen_every_s
             self.storage.watch_web()
-            self._try(self.commands.listen)
+            self.attempt(self.commands.listen)
         if self._set_assessor.drive is not None:
             self._set_assessor.drive.tick(self._resources.moment().due_h)
         return not self._resources.stop.is_set()
 
-    def _try(self, job: Callable[[], None]) -> None:
+    def attempt(self, job: Callable[[], None]) -> None:
         """Do something that the disk may refuse: then it waits for the disk, or is tried at the next look."""
         if self._persistence.trouble is None:
             self._persistence.do(job)

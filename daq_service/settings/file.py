@@ -7,6 +7,7 @@ import json
 import os
 import tomllib
 from collections.abc import Mapping, Sequence
+from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,17 @@ from daq_service.errors import UsageError
 from daq_service.settings.instruments import ParametersError, with_defaults
 from daq_service.settings.schema import describe, known_keys
 from daq_service.settings.stored import renamed
-from daq_service.settings.tables import KeyPath, Tables, flattened
+from daq_service.settings.tables import KeyPath, Tables, flattened, nested
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
 
-WEB_FILES = ("tls_certificate", "tls_key", "tokens_file")
-RECEIVER_FILES = ("url_file", "secret_file")
+RECORDING = ("rig", "playback", "source")
+FILES = (
+    *("web.tls_certificate", "web.tls_key", "web.tokens_file"),
+    *("notifications.receivers.*.url_file", "notifications.receivers.*.secret_file"),
+)
+"""Keys that name a file, relative to the configuration file."""
 NOT_SETTINGS = ("SOLIMON_TEST_", "SOLIMON_DOUBLES", "SOLIMON_TOKEN")
 """Variables that are no keys: of the tests, where doubles of the vendor's libraries find
 their brain, and what the client shows a service."""
@@ -78,8 +83,7 @@ def checked_settings(
     _refuse_unknown_variables()
     if path.suffix != ".json":
         _refuse_placeholders(values, path)
-    _resolve_recording(values, path)
-    _resolve_files(values, path)
+    values = _with_absolute_files(values, path)
     try:
         return with_defaults(Settings(**_merge(values, overrides or {})))
     except ValidationError as error:
@@ -108,36 +112,14 @@ def _refuse_placeholders(values: Mapping[str, object], path: Path) -> None:
         )
 
 
-def _resolve_recording(values: Tables, path: Path) -> None:
-    """Make the source of a playback absolute, relative to the configuration file."""
-    rig = values.get("rig")
-    playback = rig.get("playback") if isinstance(rig, dict) else None
-    if isinstance(playback, dict) and isinstance(playback.get("source"), str):
-        source = str(path.absolute().parent / playback["source"])
-        values["rig"] = {**values["rig"], "playback": {**playback, "source": source}}
-
-
-def _resolve_files(values: Tables, path: Path) -> None:
-    """Make the files of web service and receivers absolute, relative to the configuration file."""
-    web = values.get("web")
-    if isinstance(web, dict):
-        values["web"] = _with_absolute_files(path, web, WEB_FILES)
-    notifications = values.get("notifications")
-    receivers = notifications.get("receivers") if isinstance(notifications, dict) else None
-    if isinstance(notifications, dict) and isinstance(receivers, dict):
-        found = {
-            name: _with_absolute_files(path, receiver, RECEIVER_FILES)
-            if isinstance(receiver, dict)
-            else receiver
-            for name, receiver in receivers.items()
-        }
-        values["notifications"] = notifications | {"receivers": found}
-
-
-def _with_absolute_files(path: Path, table: Tables, keys: Sequence[str]) -> Tables:
-    """Make the files that some keys name absolute."""
-    files = {key: table[key] for key in keys if isinstance(table.get(key), str) and table[key]}
-    return table | {key: str(path.absolute().parent / file) for key, file in files.items()}
+def _with_absolute_files(values: Tables, path: Path) -> Tables:
+    """Make the files that some keys name absolute, relative to the configuration file."""
+    flat, folder = flattened(values), path.absolute().parent
+    for key, value in flat.items():
+        named = any(fnmatchcase(".".join(key), name) for name in FILES)
+        if isinstance(value, str) and (key == RECORDING or (named and value)):
+            flat[key] = str(folder / value)
+    return nested(flat)
 
 
 def _refuse_unknown_variables() -> None:

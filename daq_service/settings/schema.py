@@ -114,16 +114,5 @@ def _resolve_reference(schema: JsonSchemaValue, node: JsonSchemaValue) -> JsonSc
 
 def known_keys() -> list[str]:
     """Return the names of all keys at any level."""
-    keys: set[str] = set()
-
-    def walk(node: object) -> None:
-        if isinstance(node, dict):
-            keys.update(node.get("properties", {}))
-            for below in node.values():
-                walk(below)
-        elif isinstance(node, list):
-            for below in node:
-                walk(below)
-
-    walk(_schema())
-    return sorted(keys)
+    tables = (_schema(), *_schema()["$defs"].values())
+    return sorted({name for table in tables for name in table.get("properties", {})})

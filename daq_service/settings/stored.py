@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from functools import cache
 
 from pydantic import ValidationError
 
@@ -28,10 +29,16 @@ SHOWN = 12
 """A refusal names this many keys: nobody reads more."""
 
 
-class _Stored(Settings):
-    """The tree without the environment, which belongs to today's start."""
+@cache
+def _stored_tree() -> type[Settings]:
+    """Return the tree without the environment, made when first needed: most processes read no stored one."""
 
-    reads_environment = False
+    class Stored(Settings):
+        """The environment belongs to today's start."""
+
+        reads_environment = False
+
+    return Stored
 
 
 def stored_settings(values: Mapping[str, object]) -> Settings:
@@ -42,7 +49,7 @@ def stored_settings(values: Mapping[str, object]) -> Settings:
     ValidationError
         This version knows no such test.
     """
-    return _Stored(**renamed(values))
+    return _stored_tree()(**renamed(values))
 
 
 def renamed(values: Mapping[str, object]) -> Tables:
@@ -80,7 +87,7 @@ def differences(stored: Mapping[str, object], given: Settings) -> list[str]:
         if not _is_hashed_out(path)
     }
     try:
-        known: Settings = _Stored(**nested({p: v for p, v in flat.items() if p not in unknown}))
+        known: Settings = _stored_tree()(**nested({p: v for p, v in flat.items() if p not in unknown}))
         known = _with_current_defaults(known)
         then = flattened(known.measured())
     except ValidationError as error:
@@ -115,7 +122,7 @@ def _with_current_defaults(settings: Settings) -> Settings:
 
 def _unknown(values: Tables) -> set[KeyPath]:
     try:
-        _Stored(**values)
+        _stored_tree()(**values)
     except ValidationError as error:
         kinds = {"extra_forbidden", "unexpected_keyword_argument"}
         return {_path(problem["loc"]) for problem in error.errors() if problem["type"] in kinds}

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
+from importlib import import_module
 from pathlib import Path
+from pkgutil import iter_modules
 from types import ModuleType
 
 from fastapi import APIRouter, Depends, FastAPI
@@ -12,7 +14,7 @@ from starlette.middleware.gzip import GZipMiddleware
 from starlette.types import Lifespan
 
 from daq_service.settings.tree import Settings
-from daq_service.web import assets
+from daq_service.web import assets, routes
 from daq_service.web.answers import problem
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import problem_schemas, problems
@@ -21,52 +23,14 @@ from daq_service.web.auth.middleware import AuthenticationMiddleware
 from daq_service.web.context import Context, context_of
 from daq_service.web.guards import RequestGuard
 from daq_service.web.request_times import AnswerTimes, RequestTimes
-from daq_service.web.routes import (
-    alarms,
-    audit,
-    commands,
-    files,
-    health,
-    info,
-    metrics,
-    notifications,
-    page,
-    report,
-    row_listings,
-    session,
-    set_waveforms,
-    stream,
-    tables,
-    tokens,
-    transducers,
-    trends,
-    waterfall,
-    waveforms,
-)
+from daq_service.web.routes import health, metrics, page
 from daq_service.web.routes.admission import admit
 from daq_service.web.routes.description import OpenApi, describe_names, describe_roles
 from daq_service.web.routes.parameters import refuse_unknown_parameters
 
-RESOURCES = (
-    info,
-    health,
-    transducers,
-    row_listings,
-    set_waveforms,
-    trends,
-    waterfall,
-    waveforms,
-    alarms,
-    commands,
-    stream,
-    session,
-    tokens,
-    audit,
-    tables,
-    files,
-    notifications,
-    report,
-)
+_MODULES = (import_module(found.name) for found in iter_modules(routes.__path__, f"{routes.__name__}."))
+RESOURCES = tuple(one for one in _MODULES if hasattr(one, "router") and one is not page)
+"""Every module of `routes` that has a router."""
 SMALL_BYTES = 2048
 """Two packets: smaller answers are not compressed."""
 

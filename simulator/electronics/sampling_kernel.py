@@ -20,6 +20,8 @@ from simulator.numerics.machine_code import compiled
 
 AT_ONCE = 8
 """Samples that are computed at a time: a register of 512 bits, or two of 256."""
+BLOCK = 256
+"""Samples whose intermediate results stay in the processor's first cache."""
 
 
 @compiled(error_model="numpy")
@@ -151,22 +153,23 @@ def inverted_codes(
     codes
         Of an integer type, shape (n,): filled with the answer.
     """
-    n = volts.shape[0]
     lowest, highest = 1.1 * low, 1.1 * high
-    line = np.empty(n)
-    for i in range(n):
-        line[i] = min(max((volts[i] - offset_v) / slope_v, lowest), highest)
-    code = line.copy()
-    bend = np.empty(n)
-    # One short loop after the other: each is a vector instruction or two.
-    for _ in range(passes):
-        bend[:] = curved[-1]
-        for k in range(curved.shape[0] - 2, -1, -1):
-            coefficient = curved[k]
-            for i in range(n):
-                bend[i] = bend[i] * code[i] + coefficient
+    buffers = np.empty((3, BLOCK))
+    for first in range(0, volts.shape[0], BLOCK):
+        here, answer = volts[first : first + BLOCK], codes[first : first + BLOCK]
+        n = here.shape[0]
+        line, code, bend = buffers[0, :n], buffers[1, :n], buffers[2, :n]
+        # One short loop after the other: each is a vector instruction or two.
         for i in range(n):
-            code[i] = line[i] - bend[i] * code[i] * code[i]
-    lowest, highest = float(low), float(high)
-    for i in range(n):
-        codes[i] = min(max(np.rint(code[i]), lowest), highest)
+            line[i] = min(max((here[i] - offset_v) / slope_v, lowest), highest)
+            code[i] = line[i]
+        for _ in range(passes):
+            bend[:] = curved[-1]
+            for k in range(curved.shape[0] - 2, -1, -1):
+                coefficient = curved[k]
+                for i in range(n):
+                    bend[i] = bend[i] * code[i] + coefficient
+            for i in range(n):
+                code[i] = line[i] - bend[i] * code[i] * code[i]
+        for i in range(n):
+            answer[i] = min(max(np.rint(code[i]), float(low)), float(high))

@@ -21,7 +21,7 @@ EXCEPTIONS = {
     ("daq_service/cli/offline/features.py", "run_features", "parameters"): OPTIONS,
     ("daq_service/cli/set_up/setup.py", "run_setup", "parameters"): OPTIONS,
     ("daq_service/cli/simulate.py", "print_simulation", "parameters"): OPTIONS,
-    ("daq_service/commands/send.py", "send_command", "parameters"): "two times and a pause for tests",
+    ("daq_service/commands/send.py", "send_command", "parameters"): "two times and the clock for tests",
     (
         "daq_service/corrosion_drive/drive.py",
         "SupplyLogger",

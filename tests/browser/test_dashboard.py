@@ -141,7 +141,7 @@ def see_the_supply_and_climate(filled, page):
     off = DriveState(tripped="no recorder was heard for 600 s", must_switch_off=True)
     write_stored_state(filled.folder, stored_state_now(off, output="off", age_s=2.0))
     filled.add_environment(N_SETS)
-    now = strip.locator('[data-quality="lost"]')
+    now = strip.locator('[data-quality="no_communication"]')
     expect(now).to_contain_text("Supply now")
     expect(now).to_contain_text(
         "unknown; off when it was read last; switch-off pending, output may be ON; tripped: no recorder"
@@ -240,7 +240,7 @@ def test_an_unverified_clock_is_trusted_from_its_alarm(ordering):
     filled.add_alarm("B", N_SETS - 1, message="the list is drawn anew")
     expect(alarms).to_contain_text("the list is drawn anew")
     expect(alarms.get_by_role("button", name="Sent")).to_be_disabled()
-    answer(filled, "trust_clock", {"note": ""}, state="refused", result="nobody doubts the system's clock")
+    answer(filled, "trust_clock", {"note": ""}, state="rejected", result="nobody doubts the system's clock")
     expect(page.locator("body")).to_contain_text("nobody doubts the system's clock")
     expect(alarms.get_by_role("button", name="The clock is right")).to_be_enabled()
 
@@ -289,7 +289,7 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     page.get_by_label("Reason").fill("once more")
     page.get_by_role("button", name="Pause test").click()
     expect(page.locator("#pause")).to_have_text(SENT)
-    answer(filled, "pause", {"note": "once more"}, "refused", "the test is already paused: held by ann")
+    answer(filled, "pause", {"note": "once more"}, "rejected", "the test is already paused: held by ann")
     expect(page.locator("#notice")).to_have_text("the test is already paused: held by ann")
     refreshes = dashboard(page, "refreshes")
     filled.say("orders", filled.due[N_SETS - 1].due_utc_ns, text="anything new")
@@ -349,7 +349,7 @@ def test_a_disabled_transducer_is_shown_with_its_reason_and_enabled(ordering):
     page.get_by_role("button", name="Enable C").click()
     expect(page.locator("#disabled button")).to_have_text(SENT)
     answer(filled, "enable", {"position": "C", "note": ""})
-    filled.reinstate("C")
+    filled.enable("C")
     expect(page.locator("#disabled")).to_be_hidden()
     expect(tile).to_have_attribute("data-state", "normal")
 

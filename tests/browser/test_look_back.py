@@ -302,7 +302,7 @@ def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
     expect(page.locator("#set")).to_have_attribute("data-waveforms", str(SHOTS))
     expect(page.locator("#paused")).to_be_visible()
     expect(page.locator("#disabled")).to_be_visible()
-    expect(page.locator('#environment [data-quality="lost"]')).to_be_visible()
+    expect(page.locator('#environment [data-quality="no_communication"]')).to_be_visible()
     expect(page.locator('#environment [data-quality="stale"]')).to_be_visible()
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
     expect(page.locator('.tile[data-position="C"]')).to_have_attribute("data-state", "disabled")
@@ -312,7 +312,7 @@ def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
         found = axe.run(page)
         assert found.violations_count == 0, found.generate_report()
     filled.say("resume", filled.due[index].due_utc_ns, held="")
-    filled.reinstate("C")
+    filled.enable("C")
 
 
 def test_the_page_is_accessible_while_it_waits_for_the_first_answer(filled, service, browser):
@@ -369,4 +369,4 @@ def test_disabled_and_paused_intervals_are_marked(filled, shared):
     hour = filled.due[index].due_h
     mark = {"from_h": hour, "to_h": hour, "label": "disabled", "tone": "alarm"}
     until(lambda: mark in dashboard(page, "charts.tof.ranges"), "the retirement is marked")
-    filled.reinstate("D")
+    filled.enable("D")

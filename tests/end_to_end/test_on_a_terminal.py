@@ -131,12 +131,12 @@ def test_a_watched_status_shows_changes_and_keeps_the_last_output(ran, folder, t
     with on_terminal(arguments("status", "--watch", folder=watched), quick(1.5)) as terminal:
         terminal.until("no data yet")
         shutil.copytree(folder, watched, dirs_exist_ok=True)
-        terminal.until("awaited +set 2, due at hour 1.5")
+        terminal.until("next +set 2, due at hour 1.5")
         shutil.rmtree(watched)
         terminal.until("cannot be read now")
         shutil.copytree(folder, watched)
-        seen = len(re.findall("awaited", terminal.written))
-        terminal.until("awaited", times=seen + 1)
+        seen = len(re.findall("next +set", terminal.written))
+        terminal.until("next +set", times=seen + 1)
         assert terminal.interrupt() == 130
     check("watch", terminal, watched)
 

@@ -160,14 +160,6 @@ def test_a_person_s_own_values_take_the_place_of_those_proposed(doubles, tmp_pat
     assert boards.record_samples == 14_600, "as much after the trigger as ever"
 
 
-def test_answers_that_end_write_nothing(doubles, tmp_path, monkeypatch):
-    monkeypatch.setattr("sys.stdin", io.StringIO("\n\nB\n"))
-    done = solimon_here("setup", str(tmp_path / "lab.toml"), "--no-web", env={})
-    assert done.returncode == 2
-    assert "nobody answers any more (B.board" in done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
 def test_strikes_are_refused_in_the_folder_of_a_recorder(doubles, tmp_path):
     usual, other = tmp_path / "solimon-data", tmp_path / "other"
     for folder, options in ((usual, ()), (other, ("--data-dir", str(other)))):

@@ -223,7 +223,7 @@ class Test:
         assert self.switchings() == [True, False]
         now = read_supply_status(self.folder)
         assert now is not None
-        assert (now.state, now.last, now.unwatched) == ("unknown", "off", True)
+        assert (now.state, now.last, now.watchdog_trip) == ("unknown", "off", True)
         description = describe_status(self.folder, Settings())["supply"]["description"]
         assert "tripped: no recorder was heard" in description
 
@@ -496,7 +496,7 @@ def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(
     with test.recording(test.settings(line=line_of(test.instruments, reply_timeout_s=0.2))):
         until(test.has_started, "the recorder")
         test.order("supply_on")
-        until(lambda: test.answers() == ["refused"], "the answer")
+        until(lambda: test.answers() == ["rejected"], "the answer")
         assert supply.on
         assert "output may be ON" in alarm(test, "supply_switch_off_pending")
         link.clear_faults()

@@ -421,7 +421,7 @@ class FilledFolder:
         )
         self.catalogue.commit_set(SetCommit(sets=[row], events=[event]))
 
-    def reinstate(self, position: str) -> None:
+    def enable(self, position: str) -> None:
         """Reset the alarm that disabled a transducer, as the recorder does."""
         alarms = self.catalogue.rows(AlarmRow, position=position, active=True)
         (row,) = [alarm for alarm in alarms if alarm.kind == "transducer_disabled"]

@@ -112,7 +112,7 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
         alarms=ledger.alarms,
         annotations=lambda: catalogue.rows(AnnotationRow),
         store=ledger.commit,
-        reinstated=ledger.assessors.reinstate,
+        enabled=ledger.assessors.enable,
         confirmation=confirmation,
         settings=WAVES_ONLY,
         next_set=lambda: 1,

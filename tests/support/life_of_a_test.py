@@ -52,7 +52,7 @@ def run(line: Line, **options: Any) -> None:
 def lived(folder: Path) -> Line:
     """Record a test with all irreproducible data: gaps, commands, pauses, disabled transducers, repetitions.
 
-    D is silent from set 2 on, retires by rule and is reinstated; the recorder is stopped twice, and down for
+    D is silent from set 2 on, retires by rule and is enabled; the recorder is stopped twice, and down for
     one set; baselines freeze, C's is retired before and started again; the wall changes at B.
     """
     line = Line(folder, listen_every_s=0.0)

@@ -34,7 +34,7 @@ KNOWN_AS = {"daqmx": "boards", "niscope": "ultrasonic probes", "climate": "clima
 def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None, as_json: bool) -> int:
     """Run the command and return its exit code."""
     settings = load_settings(config)
-    folder = data_folder(settings, config, data_dir)
+    folder = data_folder(settings.storage, config, data_dir)
     if strike is not None:
         require_position(settings, strike)
     owner = owner_of(folder)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import sys
 import time
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import asdict
 from pathlib import Path
@@ -24,6 +24,11 @@ if TYPE_CHECKING:
 PROGRESS_EVERY_S = 10.0
 """Interval of progress lines if standard error is not a terminal."""
 LOWEST_PRIORITY = 19
+OPTIONS_OF_EXPORT: Mapping[str, Collection[str]] = {
+    "hdf5": (),
+    "table": ("out", "position", "from_h", "to_h", "fields", "purpose"),
+    "waveforms": ("out", "from_h", "to_h", "first_set", "last_set"),
+}
 
 
 def run_verify(*, data_dir: Path, as_json: bool) -> int:
@@ -96,17 +101,19 @@ def run_export(
     **options: Any,
 ) -> int:
     """Write one file of a test, a table or waveforms; return 4 if a set's file is unreadable."""
-    if [hdf5, table, waveforms].count(None) != 2:
+    kinds = {"hdf5": hdf5, "table": table, "waveforms": waveforms}
+    chosen = [name for name, value in kinds.items() if value is not None]
+    if len(chosen) != 1:
         raise UsageError(
-            "say --hdf5 FILE, or --table NAME with --out FILE, or --waveforms POSITION with --out FILE"
+            "give --hdf5 FILE, or --table NAME with --out FILE, or --waveforms POSITION with --out FILE"
         )
     given = {name: value for name, value in options.items() if value is not None}
-    known = _OF_HDF5 if hdf5 is not None else _OF_TABLE if table is not None else _OF_WAVEFORMS
-    if foreign := [name for name in given if name not in known] or (["out"] if hdf5 and targets else []):
+    known = OPTIONS_OF_EXPORT[chosen[0]]
+    if foreign := [name for name in [*given, *(["out"] if targets else [])] if name not in known]:
         sentence = ", ".join(f"--{name.replace('_', '-')}" for name in foreign)
-        raise UsageError(f"{sentence} does not belong to --{_word(hdf5, table)}; leave it out")
-    if hdf5 is None and not targets:
-        raise UsageError(f"--{_word(hdf5, table)} wants --out FILE")
+        raise UsageError(f"{sentence} does not belong to --{chosen[0]}; leave it out")
+    if "out" in known and not targets:
+        raise UsageError(f"--{chosen[0]} needs --out FILE")
     if table is not None:
         from daq_service.cli.maintenance.export_table import export_table
         from daq_service.web.tables.choice import check_choice
@@ -129,15 +136,6 @@ def run_export(
     lines.append(f"{file.file}: {file.sets} sets, {file.shots} records ({file.n_bytes / 1e6:.1f} MB)")
     print_result({"ok": not file.left_out, **asdict(file)}, lines, as_json=as_json)
     return StorageError.exit_code if file.left_out else EXIT_OK
-
-
-_OF_HDF5: Collection[str] = ()
-_OF_TABLE = ("position", "from_h", "to_h", "fields", "purpose")
-_OF_WAVEFORMS = ("from_h", "to_h", "first_set", "last_set")
-
-
-def _word(hdf5: Path | None, table: str | None) -> str:
-    return "hdf5" if hdf5 is not None else "table" if table is not None else "waveforms"
 
 
 def _print_files(files: Sequence[ExportedTable], *, as_json: bool) -> int:

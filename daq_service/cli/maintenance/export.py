@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
 from types import NoneType
-from typing import Any, TypeVar, get_args
+from typing import Any, get_args
 
 import numpy as np
 
@@ -40,8 +40,6 @@ from daq_service.processes.data_folder import OWN_NAMES
 from daq_service.processes.lost_catalogue import lost_reason
 from daq_service.shared_file import write_output
 from hardware_drivers.methods import PULSE_ECHO
-
-R = TypeVar("R", bound=Row)
 
 _SETS_AT_ONCE = 500
 """Rows of so many sets are held as objects."""
@@ -194,11 +192,12 @@ def _shot_columns(
     kind: type[FeatureRow] | type[ThicknessRow] = ThicknessRow if sampling.is_echo else FeatureRow
     parts = []
     for start in range(0, len(blocks), _SETS_AT_ONCE):
-        step = blocks[start : start + _SETS_AT_ONCE]
-        filters: dict[str, Any] = {"position": sampling.position}
-        filters |= {"first_set": step[0].set_index, "last_set": step[-1].set_index}
-        shots = {row.sequence: row for row in catalogue.rows(ShotRow, **filters)}
-        results = {row.sequence: row for row in catalogue.rows(kind, **filters)}
+        step, at = blocks[start : start + _SETS_AT_ONCE], sampling.position
+        first, last = step[0].set_index, step[-1].set_index
+        found = catalogue.rows(ShotRow, position=at, first_set=first, last_set=last)
+        shots = {row.sequence: row for row in found}
+        results_found = catalogue.rows(kind, position=at, first_set=first, last_set=last)
+        results = {row.sequence: row for row in results_found}
         of_set = [(shot_id, block.set_index) for block in step for shot_id in block.shot_ids]
         ids = [shot_id for shot_id, _ in of_set]
         parts.append(
@@ -213,7 +212,7 @@ def _shot_columns(
 
 def _set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) -> Columns:
     """Return columns of a position's sets and their results, in the order of the sets."""
-    kinds: tuple[type[Row], ...] = (FeatureRow, AssessmentRow)
+    kinds: tuple[type[FeatureRow | AssessmentRow | ThicknessRow], ...] = (FeatureRow, AssessmentRow)
     if sets[0].method == PULSE_ECHO:
         kinds = (ThicknessRow,)
     columns: dict[str, Column] = {"set_index": np.array([row.set_index for row in sets])}
@@ -222,12 +221,14 @@ def _set_columns(catalogue: Catalogue, position: str, sets: Sequence[SetRow]) ->
         parts = []
         for start in range(0, len(sets), _SETS_AT_ONCE):
             step = sets[start : start + _SETS_AT_ONCE]
-            filters: dict[str, Any] = {
-                "position": position,
-                "scope": "set" if kind is FeatureRow else None,
-            }
-            filters |= {"first_set": step[0].set_index, "last_set": step[-1].set_index}
-            results: dict[int, Any] = {row.set_index: row for row in catalogue.rows(kind, **filters)}  # type: ignore[attr-defined] # each of these kinds has one
+            found = catalogue.rows(
+                kind,
+                position=position,
+                scope="set" if kind is FeatureRow else None,
+                first_set=step[0].set_index,
+                last_set=step[-1].set_index,
+            )
+            results = {row.set_index: row for row in found}
             parts.append(_columns([results.get(row.set_index) for row in step], kind, _results_of(kind)))
         columns |= {name: _joined([part[name] for part in parts]) for name in parts[0]}
     return columns

@@ -30,7 +30,7 @@ def write_report(
     StorageError
         The catalogue cannot be read, or the file not be written.
     """
-    folder = where if where.is_dir() else data_folder(load_settings(where), where, None)
+    folder = where if where.is_dir() else data_folder(load_settings(where).storage, where, None)
     target = out or Path(f"report_{folder.name}.html")
     refuse_target(folder, target, overwrite=overwrite)
     content = report_page(folder, from_h=from_h, to_h=to_h, audited=True)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import click
 
@@ -18,7 +18,7 @@ from analysis.statistics.named_limits import LIMITS
 from analysis.statistics.sequence import Assessed, assess
 from daq_service.cli.offline.csv_lines import NoTableError
 from daq_service.cli.offline.fleet import Map, Read, assess_fleet, fleet_in_words
-from daq_service.cli.offline.table_file import read_table
+from daq_service.cli.offline.table_file import LeftOut, read_table
 from daq_service.cli.sweep.progress import Progress
 from daq_service.errors import UsageError
 from daq_service.processes.executors import opened_executor, usable_cores
@@ -28,6 +28,46 @@ FEW_FILES = 8
 FILES_A_TASK = 8
 LONGEST_RUN = 1e9
 """Maximum sets between false alarms; far above, the equation of the chart's limit is inaccurate."""
+
+
+class AlarmAnswer(TypedDict):
+    """Alarms of the chart, and whether their rate is within the budget."""
+
+    rows: list[int]
+    rate_guaranteed: bool
+    why: str
+    limit: float | None
+
+
+class Anomaly(TypedDict):
+    """Rows of the baseline that differ from the others."""
+
+    kind: str
+    rows: list[int]
+
+
+class Sensor(TypedDict, total=False):
+    """Result of a transducer in the JSON; values are None and lists empty where it is refused."""
+
+    file: str
+    refused: str | None
+    features_dropped: list[str]
+    columns_assessed: list[str]
+    columns_left_out: list[LeftOut]
+    nothing_judged: str | None
+    n: int | None
+    n_eff: float | None
+    phi_pooled: float | None
+    tail: float | None
+    suspects: list[dict[str, int]]
+    named: list[Anomaly]
+    left_out: list[dict[str, object]]
+    limits: dict[str, float]
+    default_because: str
+    count: dict[str, int]
+    first: dict[str, int | None]
+    alarm: AlarmAnswer
+    rows: list[dict[str, float | None]]
 
 
 def run_assess(
@@ -66,23 +106,20 @@ def run_assess(
         )
     with _mapped(tables) as mapped:
         assess_table = partial(answered, read=read, budget=design, with_rows=as_json and not no_rows)
-        results: list[tuple[dict[str, Any], UsageError | None]] = list(mapped(assess_table, tables))
-        answer: dict[str, Any] = {"sensors": [sensor for sensor, _ in results]}
-        readable = {
-            path: sensor for path, (sensor, error) in zip(tables, results, strict=True) if error is None
-        }
+        results: list[tuple[Sensor, UsageError | None]] = list(mapped(assess_table, tables))
+        readable = {path: one for path, (one, error) in zip(tables, results, strict=True) if error is None}
+        of_fleet = None
         if fleet and readable:
-            own_alarms = [sensor["alarm"]["rows"] for sensor in readable.values()]
-            answer["fleet"] = assess_fleet(
-                [*readable], read, mapped, design, false_discovery_rate, own_alarms
-            )
+            own_alarms = [one["alarm"]["rows"] for one in readable.values()]
+            of_fleet = assess_fleet([*readable], read, mapped, design, false_discovery_rate, own_alarms)
     if as_json:
+        answer = {"sensors": [one for one, _ in results], **({"fleet": of_fleet} if of_fleet else {})}
         click.echo(json.dumps(answer, allow_nan=False))
     else:
-        for sensor in answer["sensors"]:
-            click.echo(in_words(sensor, budget, sets_per_day))
-        if "fleet" in answer:
-            click.echo(fleet_in_words(answer["fleet"]))
+        for one, _ in results:
+            click.echo(in_words(one, budget, sets_per_day))
+        if of_fleet:
+            click.echo(fleet_in_words(of_fleet))
     for _, error in results:
         if error is not None and not isinstance(error, NoTableError):
             raise error  # no fault of a file's content: the line asked for what is not there
@@ -107,33 +144,27 @@ def _mapped(tables: tuple[Path, ...]) -> Iterator[Map]:
         yield map_in_processes
 
 
-def answered(
-    path: Path, *, read: Read, budget: Budget, with_rows: bool
-) -> tuple[dict[str, Any], UsageError | None]:
+def answered(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> tuple[Sensor, UsageError | None]:
     """Assess one table, or return the error of reading it, so that other tables are assessed."""
     try:
         return sensor(path, read=read, budget=budget, with_rows=with_rows), None
     except UsageError as error:
-        lists = ("features_dropped", "columns_assessed", "columns_left_out")
-        answer = {"file": str(path), "refused": str(error), **{name: [] for name in lists}}
-        return answer | _empty_results(with_rows=with_rows), error
+        return _refused(Sensor(file=str(path), refused=str(error)), with_rows=with_rows), error
 
 
-def sensor(
-    path: Path,
-    *,
-    read: Read,
-    budget: Budget,
-    with_rows: bool,
-) -> dict[str, Any]:
+def sensor(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> Sensor:
     """Assess one table and return the result for JSON."""
     table = read(path)
     assessed = assess(table.vectors, table.in_baseline, table.names, budget, textbooks=with_rows)
-    answer: dict[str, Any] = {"file": str(path), "refused": assessed.refused}
-    answer["features_dropped"] = list(assessed.features_dropped)
-    answer |= {"columns_assessed": list(table.names), "columns_left_out": list(table.left_out)}
+    answer = Sensor(
+        file=str(path),
+        refused=assessed.refused,
+        features_dropped=list(assessed.features_dropped),
+        columns_assessed=list(table.names),
+        columns_left_out=list(table.left_out),
+    )
     if assessed.refused is not None:
-        return answer | _empty_results(with_rows=with_rows)
+        return _refused(answer, with_rows=with_rows)
     not_assessed, rows = None, len(table.vectors)
     if table.in_baseline[-1]:
         not_assessed = f"the last of {rows} rows is baseline: nothing is judged; give a smaller baseline"
@@ -158,21 +189,34 @@ def sensor(
             "limit": assessed.chart_limit,
         },
     }
-    return answer | ({"rows": _rows(assessed)} if with_rows else {})
+    return answer | {"rows": _rows(assessed)} if with_rows else answer
 
 
-def _empty_results(*, with_rows: bool) -> dict[str, object]:
-    """Return empty results."""
-    lists = ("suspects", "named", "left_out", *(("rows",) if with_rows else ()))
-    return {
-        **dict.fromkeys(("nothing_judged", "n", "n_eff", "phi_pooled", "tail")),
-        **{name: [] for name in lists},
-        **{name: {} for name in ("limits", "count", "first")},
-        "alarm": {"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None},
-    }
+def _refused(answer: Sensor, *, with_rows: bool) -> Sensor:
+    """Return the answer with empty results for what it lacks."""
+    empty = Sensor(
+        file="",
+        refused=None,
+        features_dropped=[],
+        columns_assessed=[],
+        columns_left_out=[],
+        nothing_judged=None,
+        n=None,
+        n_eff=None,
+        phi_pooled=None,
+        tail=None,
+        suspects=[],
+        named=[],
+        left_out=[],
+        limits={},
+        count={},
+        first={},
+        alarm={"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None},
+    )
+    return empty | answer | ({"rows": []} if with_rows else {})
 
 
-def _rows(assessed: Assessed) -> list[dict[str, Any]]:
+def _rows(assessed: Assessed) -> list[dict[str, float | None]]:
     """Return a result per row."""
     columns = {
         "distance_squared": assessed.distances_squared,
@@ -180,12 +224,9 @@ def _rows(assessed: Assessed) -> list[dict[str, Any]]:
         "mcusum_textbook": assessed.mcusum_textbook,
         "chart": assessed.chart,
     }
-    rows_by_name = {
-        name: [_finite_or_none(value) for value in column.tolist()] for name, column in columns.items()
-    }
     return [
-        {"row": row, **dict(zip(rows_by_name, values, strict=True))}
-        for row, values in enumerate(zip(*rows_by_name.values(), strict=True))
+        {"row": row, **{name: _finite_or_none(float(column[row])) for name, column in columns.items()}}
+        for row in range(len(assessed.chart))
     ]
 
 
@@ -194,7 +235,7 @@ def _finite_or_none(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def in_words(answer: dict[str, Any], budget: float, sets_per_day: float) -> str:
+def in_words(answer: Sensor, budget: float, sets_per_day: float) -> str:
     """Return the lines about a transducer."""
     if answer["refused"] is not None:
         return f"{answer['file']}: refused: {answer['refused']}"
@@ -210,10 +251,10 @@ def in_words(answer: dict[str, Any], budget: float, sets_per_day: float) -> str:
     )
     if answer["features_dropped"]:
         lines.append(f"  dropped    {', '.join(answer['features_dropped'])}: constant in the baseline")
-    for item in answer["named"]:
-        rows = item["rows"]
-        row_text = f"{rows[0]} to {rows[-1]}" if item["kind"] == "trend" else ", ".join(map(str, rows))
-        lines.append(f"  look at    {item['kind']}, rows {row_text}")
+    for anomaly in answer["named"]:
+        rows, kind = anomaly["rows"], anomaly["kind"]
+        row_text = f"{rows[0]} to {rows[-1]}" if kind == "trend" else ", ".join(map(str, rows))
+        lines.append(f"  look at    {kind}, rows {row_text}")
     for name, limit in answer["limits"].items():
         first = answer["first"][name]
         since = "" if first is None else f", first row {first}"

@@ -1,10 +1,14 @@
-"""Read the lines of a CSV file of a table or of waveforms."""
+"""Read the lines of a CSV file, or the numbers of a `.npy` file, of a table or of waveforms."""
 
 from __future__ import annotations
 
 import re
 from itertools import takewhile
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
@@ -47,3 +51,36 @@ def csv_lines(path: Path) -> tuple[list[str], list[str]]:
 def is_comment(line: str) -> bool:
     """Return whether a line starts with the comment sign of instruments and `numpy.savetxt`."""
     return line.lstrip().startswith("#")
+
+
+def numbers_of_npy(path: Path, form: str, *, one_row: bool = False) -> NDArray[Any]:
+    """Map the array of a `.npy` file.
+
+    Parameters
+    ----------
+    form
+        What rows and columns are, for messages.
+    one_row
+        It may be one row alone.
+
+    Raises
+    ------
+    NoTableError
+        It is no such array of numbers.
+    OSError
+        It cannot be read.
+    """
+    try:
+        with np.errstate(over="ignore"):  # of a claimed shape; mapped, a claim takes no memory
+            array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
+        raise NoTableError(f"{path} is no .npy file of numbers, {form}") from error
+    if (
+        isinstance(array, np.ndarray)
+        and array.ndim in ((1, 2) if one_row else (2,))
+        and array.dtype.kind in "fiu"
+    ):
+        return array
+    or_one = ", or one record" if one_row else ""
+    contents = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
+    raise NoTableError(f"{path}: {contents}; it must be numbers, {form}{or_one}")

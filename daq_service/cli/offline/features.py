@@ -8,7 +8,6 @@ from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import click
 import numpy as np
@@ -37,6 +36,15 @@ LARGEST_V = 1e30
 """Larger values are not volts but an instrument's overload (9.9E37)."""
 LOOKED_AT = 50
 """Number of evenly spread records that the width of waves is measured from."""
+
+COLUMNS = (
+    ("ToF us", "tof_mf_s", 1e6, 2),
+    ("AR", "amplitude_ratio", 1.0, 4),
+    ("ISW V", "isw_amplitude_v", 1.0, 4),
+    ("ISW us", "isw_fwhm_s", 1e6, 1),
+    ("noise V", "noise_rms_v", 1.0, 4),
+)
+"""Title, feature, factor to the unit and digits of the printed columns."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -72,24 +80,25 @@ def run_features(
         isw_amplitude_v=isw_amplitude_v,
         psw_window_s=_pair("--psw-window-s", "FROM,TO", psw_window_s),
     )
-    rows: list[dict[str, Any]] = []
+    found: list[tuple[Path, list[ShotFeatures]]] = []
     refused: list[tuple[Path, UsageError]] = []
     for path in files:
         try:
-            shots = features_of_file(path, parameters, transducer)
+            found.append((path, features_of_file(path, parameters, transducer)))
         except UsageError as error:
             refused.append((path, error))
-            continue
-        rows += [
-            {"file": str(path), "index": index, **experiment_text(shot)} for index, shot in enumerate(shots)
-        ]
     if as_json:
-        answer = {"extractor_version": EXTRACTOR_VERSION, "records": rows}
-        answer["refused"] = [{"file": str(path), "reason": str(error)} for path, error in refused]
+        rows = [
+            {"file": str(path), "index": index, **_as_object(shot)}
+            for path, shots in found
+            for index, shot in enumerate(shots)
+        ]
+        refusals = [{"file": str(path), "reason": str(error)} for path, error in refused]
+        answer = {"extractor_version": EXTRACTOR_VERSION, "records": rows, "refused": refusals}
         click.echo(json.dumps(answer, allow_nan=False))
     else:
-        for name in dict.fromkeys(row["file"] for row in rows):
-            _show(name, [row for row in rows if row["file"] == name])
+        for path, shots in found:
+            _show(path, shots)
     for _, further in refused[1:]:
         click.echo(f"solimon: {further}", err=True)
     if refused:
@@ -167,25 +176,21 @@ def _settings(
             # That of a spike would refuse every record.
             narrowest_s = FEWEST_BLOCKS * max(ExtractionSettings().block_s, 1.0 / record.rate_hz)
             found.append(width_s if width_s >= narrowest_s else math.nan)
-    windows = (
-        {}
-        if transducer.psw_window_s is None
-        else dict(zip(("psw_earliest_s", "psw_latest_s"), transducer.psw_window_s, strict=True))
-    )
+    usual = ExtractionSettings()
+    earliest_s, latest_s = transducer.psw_window_s or (usual.psw_earliest_s, usual.psw_latest_s)
+    settings = {}
     try:
-        return {
-            position: ExtractionSettings(**windows, **({} if width is None else {"isw_fwhm_s": width}))
-            for position, found in widths_s.items()
-            for width in [transducer.isw_fwhm_s if transducer.isw_fwhm_s is not None else _median(found)]
-        }
+        for position, found in widths_s.items():
+            known = [width for width in found if width > 0.0]
+            measured_s = float(np.median(known)) if known else usual.isw_fwhm_s
+            settings[position] = ExtractionSettings(
+                isw_fwhm_s=measured_s if transducer.isw_fwhm_s is None else transducer.isw_fwhm_s,
+                psw_earliest_s=earliest_s,
+                psw_latest_s=latest_s,
+            )
     except InvalidInputError as error:
         raise UsageError(f"{path}: {error}") from error
-
-
-def _median(values: Sequence[float]) -> float | None:
-    """Return the median of the positive values; None if there is none."""
-    known = [value for value in values if value > 0.0]
-    return float(np.median(known)) if known else None
+    return settings
 
 
 def _extracted(where: str, record: Record, settings: ExtractionSettings) -> ShotFeatures:
@@ -210,17 +215,14 @@ def _extracted(where: str, record: Record, settings: ExtractionSettings) -> Shot
 
 def _template(transducer: TransducerParameters, found: Template | None, width_s: float) -> Template | None:
     """Combine given parameters and learn_template ones; given ones have priority."""
-    given: dict[str, Any] = {
-        name: value
-        for name, value in (
-            ("isw_fwhm_s", transducer.isw_fwhm_s),
-            ("isw_amplitude_v", transducer.isw_amplitude_v),
-        )
-        if value is not None
-    }
+    height_v = transducer.isw_amplitude_v
     if found is None:
-        return None if transducer.isw_amplitude_v is None else Template(**{"isw_fwhm_s": width_s} | given)
-    return replace(found, **given)
+        return None if height_v is None else Template(isw_fwhm_s=width_s, isw_amplitude_v=height_v)
+    return replace(
+        found,
+        isw_fwhm_s=found.isw_fwhm_s if transducer.isw_fwhm_s is None else transducer.isw_fwhm_s,
+        isw_amplitude_v=found.isw_amplitude_v if height_v is None else height_v,
+    )
 
 
 def _in_words(template: Template) -> str:
@@ -231,7 +233,7 @@ def _in_words(template: Template) -> str:
     return f"compared with an ISW {width_us:.1f} us wide and {height_v:.4g} V high{since}"
 
 
-def experiment_text(shot: ShotFeatures) -> dict[str, Any]:
+def _as_object(shot: ShotFeatures) -> dict[str, object]:
     """Return a shot for JSON: null for missing values."""
     return {
         "flags": list(shot.flags),
@@ -246,29 +248,26 @@ def _known(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-def _show(file: str, rows: Sequence[dict[str, Any]]) -> None:
+def _show(path: Path, shots: Sequence[ShotFeatures]) -> None:
     """Print a table of the features of a file."""
     from rich.table import Table
 
-    table = Table(title=f"{in_one_line(str(file))}, extractor {EXTRACTOR_VERSION}")
-    columns = (
-        ("ToF us", "tof_mf_s", 1e6, 2),
-        ("AR", "amplitude_ratio", 1.0, 4),
-        ("ISW V", "isw_amplitude_v", 1.0, 4),
-        ("ISW us", "isw_fwhm_s", 1e6, 1),
-        ("noise V", "noise_rms_v", 1.0, 4),
-    )
-    for name in ("record", "quality", "flags", *(title for title, *_ in columns)):
+    table = Table(title=f"{in_one_line(str(path))}, extractor {EXTRACTOR_VERSION}")
+    for name in ("record", "quality", "flags", *(title for title, *_ in COLUMNS)):
         table.add_column(name, justify="left" if name in ("quality", "flags") else "right")
-    for row in rows:
-        cells = [_with_sd(row[name], row["sd"][name], unit, digits) for _, name, unit, digits in columns]
-        table.add_row(str(row["index"]), row["quality"], ", ".join(row["flags"]) or "-", *cells)
+    for index, shot in enumerate(shots):
+        values = shot.values()
+        cells = [
+            _with_sd(values[name], shot.sd.get(name, math.nan), factor, digits)
+            for _, name, factor, digits in COLUMNS
+        ]
+        table.add_row(str(index), shot.quality, ", ".join(shot.flags) or "-", *cells)
     console_on("stdout").print(table)
 
 
-def _with_sd(value: float | None, sd: float | None, unit: float, digits: int) -> str:
+def _with_sd(value: float, sd: float, factor: float, digits: int) -> str:
     """Format a value with its standard deviation."""
-    if value is None:
+    if not math.isfinite(value):
         return "-"
-    text = f"{unit * value:.{digits}f}"
-    return text if sd is None else f"{text} ({unit * sd:.{digits}f})"
+    text = f"{factor * value:.{digits}f}"
+    return f"{text} ({factor * sd:.{digits}f})" if math.isfinite(sd) else text

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 import scipy  # `scipy.stats` comes when asked for
@@ -86,6 +86,37 @@ class Usual:
     tails: float
 
 
+class Raised(TypedDict):
+    """A transducer that is raised, since which row, and the chance of a healthy one."""
+
+    file: str
+    row: int
+    chance: float
+
+
+class SharedAnswer(TypedDict):
+    """A deviation that all share; sizes by feature."""
+
+    first_row: int
+    last_row: int
+    largest_sd: dict[str, float]
+
+
+class Fleet(TypedDict):
+    """Result of a fleet in the JSON."""
+
+    sensors: int
+    judged: int
+    false_discovery_rate: float
+    fdr_guaranteed: bool
+    why: str
+    beside_the_median: bool
+    raised: list[Raised]
+    explained: list[str]
+    kept_back: int
+    shared: list[SharedAnswer]
+
+
 def deviations(path: Path, read: Read) -> Deviations:
     """Read a table and return its deviations."""
     table = read(path)
@@ -126,7 +157,7 @@ def assess_fleet(
     budget: Budget,
     rate: float,
     own_alarms: Sequence[Sequence[int]],
-) -> dict[str, Any]:
+) -> Fleet:
     """Assess all tables together and return the result for JSON.
 
     Parameters
@@ -228,7 +259,7 @@ def _held(chances: Sequence[FloatArray], n_rows: int) -> FloatArray:
     return np.stack([np.pad(one, (0, n_rows - len(one)), mode="edge") for one in chances])
 
 
-def _shared_as_object(cause: SharedChange, names: Sequence[str]) -> dict[str, object]:
+def _shared_as_object(cause: SharedChange, names: Sequence[str]) -> SharedAnswer:
     """Return a shared deviation for JSON."""
     return {
         "first_row": cause.first_row,
@@ -237,7 +268,7 @@ def _shared_as_object(cause: SharedChange, names: Sequence[str]) -> dict[str, ob
     }
 
 
-def fleet_in_words(answer: dict[str, Any]) -> str:
+def fleet_in_words(answer: Fleet) -> str:
     """Return the lines about the fleet."""
     sensors = f"fleet of {answer['sensors']} sensors, {answer['judged']} judged"
     raised = (

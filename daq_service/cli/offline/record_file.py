@@ -7,18 +7,17 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from daq_service.archive import ArchiveError
 from daq_service.archive.reader import read_records
-from daq_service.cli.offline.csv_lines import COMMENTS, csv_lines, is_comment
+from daq_service.cli.offline.csv_lines import COMMENTS, csv_lines, is_comment, numbers_of_npy
 from daq_service.errors import UsageError
 from daq_service.shared_file import read_shared
 from hardware_drivers.errors import ConfigurationError
-from hardware_drivers.measurement import Shot, Waveform
+from hardware_drivers.measurement import Shot
 from hardware_drivers.playback.parameters import TdmsMapping
 
 PAPER_RATE_HZ = 10e6
@@ -97,14 +96,7 @@ def open_records(path: Path, parameters: FileParameters) -> RecordFile:
 
 def _npy(path: Path, parameters: FileParameters) -> RecordFile:
     """Open a `.npy` file."""
-    try:
-        with np.errstate(over="ignore"):  # of a claimed shape
-            array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
-        raise UsageError(f"{path} is no .npy file of numbers, records x samples") from error
-    if not isinstance(array, np.ndarray) or array.ndim not in (1, 2) or array.dtype.kind not in "fiu":
-        contents = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
-        raise UsageError(f"{path}: {contents}; it must be numbers, records x samples, or one record")
+    array = numbers_of_npy(path, "records x samples", one_row=True)
     table = np.atleast_2d(array)
     if not table.shape[1]:
         raise UsageError(f"{path} is empty: shape {array.shape}")
@@ -156,7 +148,7 @@ def _is_number(cell: str) -> bool:
 
 def _scaling(
     path: Path, parameters: FileParameters, *, counts: bool, ends: tuple[float, float] | None
-) -> Callable[[NDArray[Any]], Record]:
+) -> Callable[[NDArray[np.generic]], Record]:
     """Return the function that converts values of a file without metadata to a record."""
     if counts and parameters.volts_per_count is None:
         raise UsageError(
@@ -169,7 +161,7 @@ def _scaling(
     rate_hz = parameters.rate_hz or PAPER_RATE_HZ
     pretrigger_s = PAPER_PRETRIGGER_S if parameters.pretrigger_s is None else parameters.pretrigger_s
 
-    def scaled(values: NDArray[Any]) -> Record:
+    def scaled(values: NDArray[np.generic]) -> Record:
         volts = values.astype(np.float64)
         clipped = _is_clipped(volts, rails)
         if parameters.volts_per_count is not None:
@@ -187,21 +179,19 @@ def _scaling(
 def _hdf5(path: Path, _: FileParameters) -> RecordFile:
     """Open a set's file."""
     shots = [one for one in read_records(path, read_shared(path)) if isinstance(one, Shot)]
-    return RecordFile(
-        n=len(shots),
-        records=lambda every: (_of_waveform(shot.waveform, shot.key.position) for shot in shots[::every]),
-    )
 
+    def records(every: int) -> Iterator[Record]:
+        for shot in shots[::every]:
+            waveform = shot.waveform
+            yield Record(
+                volts_v=waveform.volts(),
+                rate_hz=waveform.sample_rate_hz,
+                pretrigger_samples=waveform.pretrigger_samples,
+                clipped=waveform.clipped,
+                position=shot.key.position,
+            )
 
-def _of_waveform(waveform: Waveform, position: str) -> Record:
-    """Return the record of a waveform."""
-    return Record(
-        volts_v=waveform.volts(),
-        rate_hz=waveform.sample_rate_hz,
-        pretrigger_samples=waveform.pretrigger_samples,
-        clipped=waveform.clipped,
-        position=position,
-    )
+    return RecordFile(n=len(shots), records=records)
 
 
 def _tdms(path: Path, parameters: FileParameters) -> RecordFile:
@@ -240,6 +230,6 @@ def _tdms(path: Path, parameters: FileParameters) -> RecordFile:
     return RecordFile(n=sum(one.n for one in channels), records=lambda every: islice(each(), 0, None, every))
 
 
-def _is_clipped(values: NDArray[Any], ends: tuple[float, float] | None) -> bool:
+def _is_clipped(values: NDArray[np.generic], ends: tuple[float, float] | None) -> bool:
     """Return whether values reach the ends of the range."""
     return ends is not None and bool(values.min() <= ends[0] or values.max() >= ends[1])

@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import csv
 import re
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import timedelta
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import SupportsFloat, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.cli.offline.csv_lines import COMMENTS, NoTableError, csv_lines, is_comment
+from daq_service.cli.offline.csv_lines import COMMENTS, NoTableError, csv_lines, is_comment, numbers_of_npy
 from daq_service.errors import UsageError
 
 MOST_ROWS = 5_000_000
@@ -46,6 +46,21 @@ THOUSANDS = re.compile(r"\s*[+-]?\d{1,3}([.,]\d{3})+\s*")
 TOTAL = re.compile(r"\s*(totals?|sum|mean|average|median|std(ev)?|min|max|count)\s*:?\s*", re.IGNORECASE)
 
 
+Column = Sequence[object] | NDArray[np.generic]
+"""Texts of a CSV file, numbers, or objects of a Parquet file."""
+Columns = tuple[Mapping[str, Column], str]
+"""Columns by name, and the decimal mark of texts."""
+
+
+class LeftOut(TypedDict):
+    """Column that is no feature, why, and its first cell with a value."""
+
+    name: str
+    reason: str
+    row: int
+    cell: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class TableFile:
     """Contents of a file.
@@ -59,13 +74,13 @@ class TableFile:
     in_baseline
         Shape (rows,).
     left_out
-        Columns that are no features: ``name``, ``reason``, and their first ``cell`` with its ``row``.
+        Columns that are no features.
     """
 
     vectors: NDArray[np.float64]
     names: tuple[str, ...]
     in_baseline: NDArray[np.bool_]
-    left_out: tuple[dict[str, object], ...] = ()
+    left_out: tuple[LeftOut, ...] = ()
 
 
 def read_table(
@@ -130,7 +145,7 @@ def read_table(
     return TableFile(vectors=vectors, names=tuple(columns_of_numbers), in_baseline=healthy, left_out=left_out)
 
 
-def _reason(name: str, column: Any, numbers: NDArray[np.float64] | None) -> str:
+def _reason(name: str, column: Column, numbers: NDArray[np.float64] | None) -> str:
     """Return why a column is not a feature; empty if it is, or if it has neither name nor value."""
     if not name:
         return "" if numbers is not None and np.isnan(numbers).all() else "it has no name"
@@ -146,13 +161,13 @@ def _reason(name: str, column: Any, numbers: NDArray[np.float64] | None) -> str:
     return ""
 
 
-def _left_out(name: str, column: Any, reason: str) -> dict[str, Any]:
+def _left_out(name: str, column: Column, reason: str) -> LeftOut:
     """Describe a column that is no feature."""
     row = next((row for row, cell in enumerate(column) if not _is_missing(cell)), 0)
     return {"name": name, "reason": reason, "row": row, "cell": str(column[row])}
 
 
-def _refuse_nearly(path: Path, name: str, column: Any, decimal: str) -> None:
+def _refuse_nearly(path: Path, name: str, column: Column, decimal: str) -> None:
     """Raise an error for a column of numbers with other text, or with two decimal marks."""
     known = {row: cell for row, cell in enumerate(column) if not _is_missing(cell)}
     mixed = decimal == "," and {",", "."} <= {*"".join(map(str, known.values()))}
@@ -172,7 +187,7 @@ def _is_nearly(cell: object, decimal: str, *, mixed: bool) -> bool:
     return NEARLY.fullmatch(cell.strip()) is not None and not DATE.match(cell.strip())
 
 
-def _columns(path: Path) -> tuple[dict[str, Any], str]:
+def _columns(path: Path) -> Columns:
     """Return every column by its name, and the decimal mark of its texts."""
     reader = {".csv": _of_csv, ".parquet": _of_parquet, ".npy": _of_npy}.get(path.suffix.lower())
     if reader is None:
@@ -189,7 +204,7 @@ def _columns(path: Path) -> tuple[dict[str, Any], str]:
     return columns, decimal
 
 
-def _of_csv(path: Path) -> tuple[dict[str, Any], str]:
+def _of_csv(path: Path) -> Columns:
     """Read the columns of a CSV file and its decimal mark."""
     comments, lines = csv_lines(path)
     separator = next((one for one in SEPARATORS if lines and one in lines[0]), ",")
@@ -266,7 +281,7 @@ def _require_names_once(path: Path, names: Sequence[str]) -> None:
         raise NoTableError(f"{path}: each column must be named once; they are {','.join(names)[:80]!r}")
 
 
-def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
+def _of_parquet(path: Path) -> Columns:
     """Read the columns of a Parquet file."""
     from daq_service.web.tables.formats import pyarrow
 
@@ -292,20 +307,13 @@ def _of_parquet(path: Path) -> tuple[dict[str, Any], str]:
     return columns, "."
 
 
-def _of_npy(path: Path) -> tuple[dict[str, object], str]:
+def _of_npy(path: Path) -> Columns:
     """Read the columns of a `.npy` file."""
-    try:
-        with np.errstate(over="ignore"):  # of a claimed shape; mapped, a claim takes no memory
-            array = np.load(path, mmap_mode="r", allow_pickle=False)
-    except (ValueError, EOFError, OverflowError) as error:  # numpy's words would advise to unpickle it
-        raise NoTableError(f"{path} is no .npy file of numbers, rows x features") from error
-    if not isinstance(array, np.ndarray) or array.ndim != 2 or array.dtype.kind not in "fiu":
-        contents = f"{array.dtype} of shape {array.shape}" if isinstance(array, np.ndarray) else "an archive"
-        raise NoTableError(f"{path}: {contents}; it must be numbers, rows x features")
+    array = numbers_of_npy(path, "rows x features")
     return {str(k): array[:, k] for k in range(array.shape[1])}, "."
 
 
-def _numbers(column: Any, decimal: str) -> NDArray[np.float64] | None:
+def _numbers(column: Column, decimal: str) -> NDArray[np.float64] | None:
     """Return the column as numbers, NaN if missing; None if most cells are not numbers."""
     if isinstance(column, np.ndarray):
         return _without_overload(column.astype(np.float64))
@@ -323,17 +331,18 @@ def _without_overload(values: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(np.where(over | np.isin(values, NO_READINGS), np.nan, values))
 
 
-def _is_missing(cell: Any) -> bool:
+def _is_missing(cell: object) -> bool:
     """Return whether a cell has no value."""
     return cell is None or (isinstance(cell, str) and MISSING.fullmatch(cell.strip()) is not None)
 
 
-def _number(cell: Any, decimal: str) -> float | None:
+def _number(cell: object, decimal: str) -> float | None:
     """Convert a cell to a number; None if it is not one."""
     if isinstance(cell, bool) or (isinstance(cell, str) and "_" in cell):  # 1_2 is Python's way, and a name
         return None
+    number = cell.replace(decimal, ".") if isinstance(cell, str) else cell
     try:
-        return float(cell.replace(decimal, ".") if isinstance(cell, str) else cell)
+        return float(number) if isinstance(number, str | SupportsFloat) else None
     except (TypeError, ValueError):
         return None
 
@@ -343,12 +352,12 @@ def _is_number(cell: str, decimal: str) -> bool:
     return _number(cell, decimal) is not None
 
 
-def _no_number(column: Sequence[Any], decimal: str) -> Any:
+def _no_number(column: Column, decimal: str) -> object:
     """Return the first cell that is not a number."""
     return next(cell for cell in column if not _is_missing(cell) and _number(cell, decimal) is None)
 
 
-def _equal(column: Any, value: str, decimal: str) -> NDArray[np.bool_]:
+def _equal(column: Column, value: str, decimal: str) -> NDArray[np.bool_]:
     """Return the rows whose cell equals a value, as text or as a number."""
     wanted = _numbers([value], decimal)
     numbers = _numbers(column, decimal)
@@ -357,7 +366,7 @@ def _equal(column: Any, value: str, decimal: str) -> NDArray[np.bool_]:
     return np.array([str(cell).strip().lower() == value.lower() for cell in column], dtype=bool)
 
 
-def _listed(names: Any) -> str:
+def _listed(names: Iterable[object]) -> str:
     """Join names, shortened if there are many."""
     texts = list(map(str, names))
     return ", ".join(texts[:NAMES_SHOWN]) + (f" ... ({len(texts)})" if len(texts) > NAMES_SHOWN else "")

@@ -52,16 +52,24 @@ class Row:
         return f"{self.deviation:+.3g} {'points' if self.unit == '%' else self.unit}"
 
 
-def compare(item: str, found: Mapping[str, Found], *, origin: str) -> list[Row]:
+def compare(
+    item: str,
+    found: Mapping[str, Found],
+    *,
+    origin: str,
+    missing_reason: str = "this figure does not give it",
+) -> list[Row]:
     """Return the rows of one item in the paper's order, with a reason for missing quantities.
 
     Parameters
     ----------
     origin
-        Of the measurements, as in `causes.cause_of`.
+        Of the measurements, as in `diagnosis.cause_of`.
+    missing_reason
+        Why quantities are not in `found`.
     """
     return [
-        _row(value, found.get(value.quantity, missing("this figure does not give it")), origin=origin)
+        _row(value, found.get(value.quantity, missing(missing_reason)), origin=origin)
         for value in values_of(item)
     ]
 
@@ -77,11 +85,6 @@ def tally(rows: Sequence[Row]) -> dict[str, int]:
         else:
             counts["agree" if _vanishes(row.deviation, row.paper) else "deviate"] += 1
     return counts
-
-
-def not_made(item: str, reason: str) -> list[Row]:
-    """Return the rows of an item that could not be computed."""
-    return [_row(value, missing(reason), origin="shipped") for value in values_of(item)]
 
 
 def _row(value: PaperValue, ours: Found, *, origin: str) -> Row:

@@ -6,7 +6,6 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from daq_service.catalogue import check_owner
 from daq_service.cli.run import child_plans
 from daq_service.errors import BusyError, RigError, SolimonError, StorageError, UsageError
 from daq_service.processes.child import log_to
@@ -28,18 +27,6 @@ def twin_settings(seed: int | None) -> Settings:
     """
     given = {} if seed is None else {"twin": {"seed": seed}}
     return load_settings(None, overrides={**BY_SETS, **given})
-
-
-def check_test_folder(settings: Settings, folder: Path) -> None:
-    """Raise an error for a folder of another test before anything is computed.
-
-    Raises
-    ------
-    StorageError
-        It belongs to another configuration: both hashes.
-    """
-    if folder.exists():
-        check_owner(settings, folder)
 
 
 def run_test(

@@ -45,9 +45,7 @@ class Pulse:
     """Noise-free shot: peaks of the sensor's force, static preload included."""
 
     depth_fraction: float
-    drop_height_m: float
     isw_peak_n: float
-    isw_time_us: float
     tof_us: float
     amplitude_ratio: float
 
@@ -151,9 +149,7 @@ def _pulse(model: ShotModel, depth: float, drop_height_m: float) -> Pulse:
     summary = summarise(model.shot(depth_fraction=depth, drop_height_m=drop_height_m))
     return Pulse(
         depth_fraction=depth,
-        drop_height_m=drop_height_m,
         isw_peak_n=summary.isw_peak_n,
-        isw_time_us=summary.isw_time_us,
         tof_us=math.nan if summary.tof_us is None else summary.tof_us,
         amplitude_ratio=math.nan if summary.amplitude_ratio is None else summary.amplitude_ratio,
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import platform
 import time
@@ -10,14 +11,14 @@ from dataclasses import asdict, dataclass, field
 from datetime import datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import click
 
 from daq_service.cli.reproduce.comparison import NOT_AVAILABLE, Row, tally
 from daq_service.cli.reproduce.evidence import Evidence
 from daq_service.cli.reproduce.item import Item, Table
-from daq_service.cli.reproduce.output import RECORD, REPORT, write_json
+from daq_service.cli.reproduce.output import RECORD, REPORT
 from daq_service.recording.provenance import PACKAGES
 from daq_service.shared_file import write_output
 from daq_service.web.templates import render
@@ -50,13 +51,24 @@ class Section:
     trouble: str = ""
 
 
+class Facts(TypedDict):
+    """Facts of a run; None before it has a test."""
+
+    seed: int | None
+    configuration_hash: str | None
+    test: str | None
+    data_dir: str | None
+    versions: dict[str, str]
+    machine: str
+
+
 @dataclass(slots=True)
 class Outcome:
     """Results of a reproduction so far."""
 
     out: Path
     started_s: float
-    facts: dict[str, Any]
+    facts: Facts
     sections: list[Section] = field(default_factory=list)
     slips: list[dict[str, object]] = field(default_factory=list)
 
@@ -66,7 +78,7 @@ class Outcome:
         return [row for section in self.sections for row in section.rows]
 
 
-def versions() -> dict[str, Any]:
+def versions() -> Facts:
     """Return the facts of a run before it has a test."""
     return {
         "seed": None,
@@ -81,9 +93,9 @@ def versions() -> dict[str, Any]:
     }
 
 
-def facts_of_test(test: Evidence) -> dict[str, Any]:
-    """Return the facts of a test."""
-    return {
+def add_test(facts: Facts, test: Evidence) -> None:
+    """Add the facts of a test."""
+    facts |= {
         "seed": test.seed,
         "configuration_hash": test.configuration_hash,
         "test": f"{test.name}: {test.counts['sets']} sets to hour {test.last_h:g}, {test.counts['shots']} "
@@ -105,7 +117,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
     missing = [name for name in names if name not in finished]
     elapsed_s = time.monotonic() - run.started_s
     counts = tally(run.rows)
-    result: dict[str, Any] = {
+    result: dict[str, object] = {
         **run.facts,
         "elapsed_s": round(elapsed_s, 3),
         "interrupted": interrupted,
@@ -151,7 +163,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
             not_available=NOT_AVAILABLE,
         ),
     )
-    write_json(run.out / RECORD, result)
+    write_output(run.out / RECORD, (json.dumps(result, indent=1) + "\n").encode())
     return result
 
 

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-import json
 import math
-from collections.abc import Mapping
 from pathlib import Path
 
 from daq_service.cli.reproduce.item import Table
@@ -41,11 +39,6 @@ def prepare_output(folder: Path) -> None:
             write_output(folder / RECORD, b"{}\n")
     except OSError as error:
         raise StorageError(f"cannot write {folder}: {error.strerror}; choose another with --out") from error
-
-
-def write_json(path: Path, content: Mapping[str, object]) -> None:
-    """Write an object as JSON."""
-    write_output(path, (json.dumps(content, indent=1) + "\n").encode())
 
 
 def csv_bytes(table: Table) -> bytes:

@@ -13,19 +13,22 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TypeVar
 
 import click
+import matplotlib as mpl
 
-from daq_service.cli.reproduce.comparison import compare, not_made
+from daq_service.catalogue import check_owner
+from daq_service.cli.reproduce.comparison import compare
 from daq_service.cli.reproduce.evidence import Evidence, read_evidence
-from daq_service.cli.reproduce.experiment import BY_SETS, check_test_folder, run_test, twin_settings
+from daq_service.cli.reproduce.experiment import BY_SETS, run_test, twin_settings
 from daq_service.cli.reproduce.item import Item, Job, Material, NotAvailableError, Product
 from daq_service.cli.reproduce.items import chosen_items
-from daq_service.cli.reproduce.outcome import Outcome, Section, facts_of_test, finish, print_result, versions
+from daq_service.cli.reproduce.outcome import Outcome, Section, add_test, finish, print_result, versions
 from daq_service.cli.reproduce.output import DATA_FOLDER, csv_bytes, prepare_output
-from daq_service.cli.reproduce.style import house_style, rendered
+from daq_service.cli.reproduce.style import RULES, rendered
 from daq_service.errors import EXIT_INTERRUPTED, EXIT_OK, UsageError
 from daq_service.processes.child import stop_on_signals
 from daq_service.processes.data_folder import new_folder
@@ -39,6 +42,7 @@ POLL_S = 0.1
 SLIPS = "slips"
 
 Report = Callable[[str], None]
+T = TypeVar("T")
 
 
 class _StoppedError(Exception):
@@ -56,9 +60,7 @@ def reproduce(
     items = chosen_items(only)
     folder = (out or new_folder("reproduction")).absolute()
 
-    def report(text: str) -> None:
-        click.echo(text, err=True)
-
+    report = partial(click.echo, err=True)
     with stop_on_signals() as stop, ExitStack() as stack:
         executor = stack.enter_context(one_worker())
         try:
@@ -105,12 +107,13 @@ def reproduce_into(
     StorageError, UsageError
         The output folder, or the test's, cannot be used: before anything is computed.
     """
-    needed = _needs_test(items)
+    # The slips use a test only if there is one.
+    needed = any(item.needs_test for item in items)
     settings = twin_settings(seed) if needed and data_dir is None else None
     if data_dir is not None:
         read_evidence(data_dir.absolute(), with_traces=False)
-    elif settings is not None:
-        check_test_folder(settings, out / DATA_FOLDER)
+    elif settings is not None and (out / DATA_FOLDER).exists():
+        check_owner(settings, out / DATA_FOLDER)
     prepare_output(out)
     run = Outcome(out=out, started_s=time.monotonic(), facts=versions())
     with ThreadPoolExecutor(max_workers=1, thread_name_prefix="test") as tests:
@@ -134,37 +137,27 @@ def reproduce_into(
     return finish(run, [item.name for item in items], interrupted=stop.is_set()), not stop.is_set()
 
 
-def _needs_test(items: Sequence[Item]) -> bool:
-    """Return whether an item needs measurements; the slips use a test only if there is one."""
-    return any(item.needs_test for item in items)
-
-
 # The test and the models ---------------------------------------------------------------------------
 
 
 def _run_and_read(settings: Settings, folder: Path, stop: threading.Event, report: Report) -> Evidence:
     """Run the test on the twin and read its results."""
     report(f"test on the twin (seed {settings.twin.seed}) in {folder}")
-    if not run_test(settings, folder, stop=stop, progress=_ProgressOfTenths(report).progress):
+    last_tenth = -1
+
+    def progress(done: int, planned: int, due_h: float) -> None:
+        nonlocal last_tenth
+        tenth = 10 * done // max(planned, 1)
+        if tenth > last_tenth:
+            last_tenth = tenth
+            report(f"test: hour {due_h:g}, set {done} of {planned}")
+
+    if not run_test(settings, folder, stop=stop, progress=progress):
         raise _StoppedError
     return read_evidence(folder)
 
 
-class _ProgressOfTenths:
-    """Reports every tenth of the test."""
-
-    def __init__(self, report: Report) -> None:
-        self._report = report
-        self._last_tenth = -1
-
-    def progress(self, done: int, planned: int, due_h: float) -> None:
-        tenth = 10 * done // max(planned, 1)
-        if tenth > self._last_tenth:
-            self._last_tenth = tenth
-            self._report(f"test: hour {due_h:g}, set {done} of {planned}")
-
-
-def _wait(future: Future[Any], stop: threading.Event) -> Any:
+def _wait(future: Future[T], stop: threading.Event) -> T:
     """Wait for a result or an interruption."""
     while not future.done():
         if stop.wait(POLL_S):
@@ -178,13 +171,13 @@ def _wait(future: Future[Any], stop: threading.Event) -> Any:
 def _make(
     run: Outcome,
     item: Item,
-    futures: Mapping[Job, Future[Any]],
+    futures: Mapping[Job, Future[object]],
     evidence: Future[Evidence] | None,
     stop: threading.Event,
     report: Report,
 ) -> None:
     """Wait for the inputs of an item, compute it, write its files."""
-    results: dict[str, Any] = {}
+    results: dict[str, object] = {}
     for name, job in item.jobs.items():
         try:
             results[name] = _wait(futures[job], stop)
@@ -195,13 +188,13 @@ def _make(
     if stop.is_set():
         raise _StoppedError
     if test is not None:
-        run.facts.update(facts_of_test(test))
-    with house_style():
+        add_test(run.facts, test)
+    with mpl.rc_context(RULES):
         try:
             product = item.make(Material(evidence=test, results=results))
         except NotAvailableError as error:
             report(f"{item.name}: not available: {error}")
-            rows = not_made(item.name, str(error))
+            rows = compare(item.name, {}, origin="shipped", missing_reason=str(error))
             run.sections.append(Section(item=item, trouble=str(error), rows=rows))
             return
         pictures = {} if product.drawing is None else rendered(product.drawing)

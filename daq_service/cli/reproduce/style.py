@@ -7,11 +7,9 @@ salt, so the same numbers give the same bytes.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -39,21 +37,14 @@ RULES: Any = {
     "svg.fonttype": "path",
     "path.simplify": True,
 }
-PAPER_LINE: dict[str, Any] = {"color": BLACK, "linestyle": (0, (5, 3)), "linewidth": 1.0}
-PAPER_MARK: dict[str, Any] = {
+PAPER_LINE: Mapping[str, Any] = {"color": BLACK, "linestyle": (0, (5, 3)), "linewidth": 1.0}
+PAPER_MARK: Mapping[str, Any] = {
     "color": BLACK,
     "marker": "D",
     "markersize": 4.5,
     "linestyle": "none",
     "zorder": 5,
 }
-
-
-@contextmanager
-def house_style() -> Iterator[None]:
-    """Apply the common style within a context, and restore matplotlib's settings afterwards."""
-    with mpl.rc_context(RULES):
-        yield
 
 
 def sheet(rows: int = 1, columns: int = 1, *, height_in: float, **options: Any) -> tuple[Figure, list[Axes]]:
@@ -102,7 +93,7 @@ METADATA: Any = {"png": {"Software": None}, "svg": {"Date": None, "Creator": "so
 
 
 def rendered(figure: Figure, endings: Sequence[str] = tuple(METADATA)) -> dict[str, bytes]:
-    """Return PNG and SVG of a figure by file ending; call it in `house_style`."""
+    """Return PNG and SVG of a figure by file ending; call it with `RULES`."""
     pictures = {}
     for ending in endings:
         buffer = io.BytesIO()

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -86,11 +85,12 @@ def _table(traces: Sequence[Trace]) -> item.Table:
     """Return all traces of a position at the times of the first one; shorter ones are padded."""
     first = traces[0].time_s
     every = _every(traces[0])
-    columns: dict[str, list[Any]] = {"time_s": [round(float(t), 9) for t in first[::every]]}
+    times_s = [round(float(t), 9) for t in first[::every]]
+    columns: dict[str, Sequence[object]] = {"time_s": times_s}
     for trace in traces:
-        values: list[Any] = [round(float(v), 6) for v in trace.volts[::every]][: len(columns["time_s"])]
-        values += [None] * (len(columns["time_s"]) - len(values))
-        columns[f"set_{trace.set_index}_hour_{trace.hour_h:g}_v"] = values
+        volts = [round(float(v), 6) for v in trace.volts[::every][: len(times_s)]]
+        padding = [None] * (len(times_s) - len(volts))
+        columns[f"set_{trace.set_index}_hour_{trace.hour_h:g}_v"] = [*volts, *padding]
     return item.Table(columns=columns)
 
 

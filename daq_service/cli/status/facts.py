@@ -36,7 +36,7 @@ from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.lost_catalogue import lost_reason
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import read_recorder_state
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import ScheduleSettings, Settings
 from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -76,7 +76,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 "held": catalogue.held(),
                 "orders": _open_orders(catalogue),
                 "counts": counts,
-                "next_due_h": _next_due_h(settings, counts["sets"] + counts["missed_sets"]),
+                "next_due_h": _next_due_h(settings.schedule, counts["sets"] + counts["missed_sets"]),
                 "gaps": _gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
                 "lost": _lost_rows(folder, catalogue) | lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
                 "confirmations": _confirmations(catalogue, settings, fresh),
@@ -154,7 +154,7 @@ def _present_state(
     """Return what changes with time: state, age, limits, the interval of a thickness."""
     data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
-    chart = deciding_chart(last.last_assessment, settings)
+    chart = deciding_chart(last.last_assessment, settings.alarms)
     return {
         "state": status_of(last),
         "age_h": age_h,
@@ -200,9 +200,9 @@ def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -
     }
 
 
-def _next_due_h(settings: Settings, done: int) -> float | None:
+def _next_due_h(schedule: ScheduleSettings, done: int) -> float | None:
     """Return the hour of the first set without rows; None if every scheduled set has its own."""
-    hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)[done:]
+    hours = due_hours(schedule.phases, end_h=schedule.end_h)[done:]
     return hours[0] if hours else None
 
 

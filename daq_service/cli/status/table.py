@@ -89,7 +89,7 @@ def _head(facts: Facts, folder: str) -> Iterator[tuple[str, str, str]]:
     for order in facts["orders"]:
         wanted = f"{order['kind']} by {order['author']}"
         remaining = f", expires in {duration(order['expires_in_s'])}" if order["state"] == "pending" else ""
-        yield "awaited", f"the recorder's answer to {wanted} ({order['state']}{remaining})", "yellow"
+        yield "waiting", f"for the recorder's answer to {wanted} ({order['state']}{remaining})", "yellow"
     counts = facts["counts"]
     if counts is None:
         yield "", "no data yet", ""
@@ -98,20 +98,20 @@ def _head(facts: Facts, folder: str) -> Iterator[tuple[str, str, str]]:
         wait_s = 3600.0 * (facts["next_due_h"] - facts["now_h"])
         when = f"in {duration(wait_s)}" if wait_s >= 0.0 else f"{duration(-wait_s)} ago"
         number = counts["sets"] + counts["missed_sets"]
-        yield "awaited", f"set {number}, due at hour {facts['next_due_h']:g}, {when}", ""
+        yield "next", f"set {number}, due at hour {facts['next_due_h']:g}, {when}", ""
     missed = counts["missed_sets"]
-    partial = f", {counts['partial_sets']} partial (some strikes lack)" if counts["partial_sets"] else ""
+    partial = f", {counts['partial_sets']} partial (shots missing)" if counts["partial_sets"] else ""
     yield "sets", f"{counts['sets']}, {missed} missed{partial}", ""
     yield "confirm", _confirmations(facts["confirmations"]), ""
     for text in _gaps(facts["gaps"]):
         yield "gap", text, "yellow"
     for file, problem in facts["lost"].items():
         remedy = "" if "solimon" in problem else "; solimon repair --from BACKUP brings it back"
-        yield "LOST", f"{file} {problem}{remedy}", "bold red"
+        yield "MISSING", f"{file} {problem}{remedy}", "bold red"
     yield from (("baseline", text, "") for text in _baselines(facts["positions"]))
-    yield from (("verdict", *text) for text in _assessments(facts["positions"]))
+    yield from (("result", *text) for text in _assessments(facts["positions"]))
     if any(row["chart"] for row in facts["positions"].values()):
-        yield "decides", "the chart, or a cause named WALL; D² beyond its limit is an outlier, no alarm", ""
+        yield "rule", "control chart or diagnosis WALL; D² above its limit is an outlier, not an alarm", ""
     yield "disk", disk_text(facts["disk"]), DISK_STYLES[facts["disk"]["level"]]
     apart = sum(row["suppressed"] is not None for row in facts["alarms"])
     suppressed = f", {apart} shelved or out of service" if apart else ""
@@ -124,15 +124,15 @@ def _baselines(positions: Mapping[str, Facts]) -> Iterator[str]:
     for name, row in positions.items():
         baseline = row["baseline"]
         if baseline is not None and baseline["state"] == "proposed" and baseline["limit_reason"]:
-            alike.setdefault(f"NOT JUDGED: {baseline['limit_reason']}", []).append(name)
+            alike.setdefault(f"NOT ASSESSED: {baseline['limit_reason']}", []).append(name)
         if baseline is None or baseline["rate_verified"] is None:
             continue
         why = baseline["rate_not_verified_reason"]
-        promised = f"not promised: {why}" if why else "promised"
+        verified = f"not verified: {why}" if why else "verified"
         if baseline["doubts"]:
-            alike.setdefault(f"DOUBTFUL: {'; '.join(baseline['doubts'])}", []).append(name)
+            alike.setdefault(f"QUESTIONABLE: {'; '.join(baseline['doubts'])}", []).append(name)
         budget = baseline["false_alarms_per_sensor_year"]
-        alike.setdefault(f"{budget:g} false alarms a sensor and year, {promised}", []).append(name)
+        alike.setdefault(f"{budget:g} false alarms per transducer-year, {verified}", []).append(name)
     yield from (f"{', '.join(names)}: {text}" for text, names in alike.items())
 
 
@@ -154,7 +154,7 @@ def _confirmations(facts: Facts) -> str:
     remaining = ", ".join(f"{name} {number}" for name, number in facts["left_today"].items())
     last = facts["last"]
     last_text = "" if last is None else f". The last was at {last['position']}. {confirmation_sentence(last)}"
-    return f"{facts['sets'] or 'no'} sets beside the plan; left for suspicion today: {remaining}{last_text}"
+    return f"{facts['sets'] or 'no'} confirmation sets; left today: {remaining}{last_text}"
 
 
 def _gaps(gaps: Sequence[Facts]) -> Iterator[str]:
@@ -248,7 +248,7 @@ def _what_now(alarms: Sequence[Facts]) -> Iterator[Text]:
     """Yield the first checks for each kind of active alarm."""
     for kind in dict.fromkeys(row["kind"] for row in alarms if row["suppressed"] is None):
         if kind in GUIDANCE:
-            yield Text(f"{kind}: look first: {in_order(GUIDANCE[kind].checks)}")
+            yield Text(f"{kind}: checks: {in_order(GUIDANCE[kind].checks)}")
 
 
 def _state_of_alarm(row: Facts) -> str:

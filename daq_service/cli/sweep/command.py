@@ -13,7 +13,7 @@ import click
 from daq_service.cli.sweep.keys import SECTIONS
 from daq_service.cli.sweep.plan import Model, make_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
-from daq_service.cli.sweep.shot import Specimen
+from daq_service.cli.sweep.shot import OK, Specimen
 from daq_service.cli.sweep.specification import Axis, parse_axis, read_sweep_file
 from daq_service.cli.sweep.table import SweepTable
 from daq_service.errors import UsageError
@@ -125,8 +125,8 @@ def _print(table: SweepTable, outputs: Sequence[Path], columns: Columns, *, as_j
         return
     if not outputs:
         _print_rows(table, columns)
-    if failed := table.facts["rows"] - table.facts["rows_ok"]:
-        click.echo(f"{failed} of {table.facts['rows']} rows are not ok: see their status")
+    if failed := len(table.status) - table.status.count(OK):
+        click.echo(f"{failed} of {len(table.status)} rows are not ok: see their status")
     for path in outputs:
         click.echo(f"wrote {path}")
     click.echo(f"content hash {table.facts['content_hash']}")

@@ -65,7 +65,8 @@ def compute(
                 running = {future for future in running if not future.cancel()}
             else:
                 for task in itertools.islice(tasks, TASKS_PER_WORKER * workers - len(running)):
-                    running.add(_submitted(plan, task, executor))
+                    rows_of_task = [(row.index, row.specimen) for row in task if row.specimen is not None]
+                    running.add(executor.submit(compute_rows, plan.model, rows_of_task, plan.waveforms))
             if not running:
                 return
             # Not for ever: on Windows a signal is seen only between two waits.
@@ -77,11 +78,6 @@ def compute(
             "workers ended by themselves again and again (killed, or out of memory); finished rows are kept: "
             "give the same command again, with fewer --workers if memory is short"
         ) from error
-
-
-def _submitted(plan: Plan, task: Task, executor: Executor) -> Future[list[Outcome]]:
-    rows = [(row.index, row.specimen) for row in task if row.specimen is not None]
-    return executor.submit(compute_rows, plan.model, rows, plan.waveforms)
 
 
 def tasks_of(rows: Sequence[Row], workers: int) -> list[Task]:

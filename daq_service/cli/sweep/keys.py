@@ -84,7 +84,7 @@ def check_key(key: str, model: str) -> None:
     raise UsageError(f"{key!r} is no key that can be swept; {hint}All keys: {', '.join(known)}")
 
 
-def changed(section: Any, changes: Mapping[tuple[str, ...], Any]) -> Any:
+def changed(section: Any, changes: Mapping[tuple[str, ...], object]) -> Any:
     """Return a section with changed values, validated like a configuration file.
 
     Parameters

@@ -6,7 +6,7 @@ import hashlib
 import itertools
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
 from importlib.metadata import version
@@ -47,7 +47,7 @@ class Row:
     """
 
     index: int
-    values: tuple[Any, ...]
+    values: tuple[object, ...]
     specimen: Specimen | None
     key: str = ""
     reason: str = ""
@@ -135,7 +135,9 @@ def _check_size(axes: Sequence[Axis], element_wise: bool, waveforms: bool) -> No
         )
 
 
-def _rows(model: Model, base: Specimen, keys: tuple[str, ...], combined: Any) -> Any:
+def _rows(
+    model: Model, base: Specimen, keys: tuple[str, ...], combined: Iterable[tuple[object, ...]]
+) -> Iterator[Row]:
     """Yield the rows; a section that combinations share is created and hashed once."""
     paths = [tuple(key.split(".")) for key in keys]
     places = {name: [k for k, path in enumerate(paths) if path[0] == name] for name in SECTIONS}
@@ -189,6 +191,6 @@ def json_text(value: object) -> str:
     return json.dumps(value, sort_keys=True, separators=(",", ":"), default=asdict)
 
 
-def _sha256(content: Any) -> str:
+def _sha256(content: object) -> str:
     """Compute the SHA-256 of an object's JSON."""
     return hashlib.sha256(json_text(content).encode()).hexdigest()

@@ -8,7 +8,6 @@ import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import click
 
@@ -36,7 +35,7 @@ class SweepOptions:
 
 
 def run_sweep(
-    plan: Plan, options: SweepOptions, origin: Mapping[str, Any], stop: threading.Event
+    plan: Plan, options: SweepOptions, origin: Mapping[str, object], stop: threading.Event
 ) -> SweepTable:
     """Compute unfinished rows, write the outputs, remove the work file.
 

@@ -9,7 +9,6 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,7 +108,7 @@ def _outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Out
     stored_force = force if waveforms else None
     return Outcome(
         index=index,
-        numbers=tuple(math.nan if found[name] is None else found[name] for name in RESULTS[model]),
+        numbers=tuple(math.nan if (value := found[name]) is None else value for name in RESULTS[model]),
         status=NO_REFLECTION if found["tof_us"] is None else OK,
         force_n=None if stored_force is None else stored_force.force_n,
         sample_interval_s=math.nan if stored_force is None else float(stored_force.time_s[1]),
@@ -142,7 +141,7 @@ def _plate(plate: PlateParameters, outline: CorrosionParameters) -> _CachedPlate
     return None if modal is None else _CachedPlate(modal)
 
 
-def coupled_numbers(force: ShotForce) -> dict[str, object]:
+def coupled_numbers(force: ShotForce) -> dict[str, float | None]:
     """Return peaks, times and integration quality of a shot; None if nothing was reflected."""
     return {
         **asdict(summarise(force)),
@@ -154,7 +153,7 @@ def coupled_numbers(force: ShotForce) -> dict[str, object]:
 
 def zener_numbers(
     chain: ChainParameters, plate: PlateParameters, corrosion: CorrosionParameters
-) -> dict[str, Any]:
+) -> dict[str, float | None]:
     """Compute Zener's impact of the last sphere."""
     row = asdict(reflect(chain, plate, depth_fraction=corrosion.depth_fraction))
     return {"tof_us": 1e6 * row.pop("tof_s"), **row}

@@ -9,9 +9,9 @@ from __future__ import annotations
 import csv
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,7 +28,7 @@ class Axis:
     """One key of the configuration and the values it takes."""
 
     key: str
-    values: tuple[Any, ...]
+    values: tuple[object, ...]
 
 
 def parse_axis(text: str) -> Axis:
@@ -42,7 +42,7 @@ def parse_axis(text: str) -> Axis:
     key, equals, listed = text.partition("=")
     if not equals or not key.strip() or not listed.strip():
         raise UsageError(f"--sweep is {text!r}; {GRAMMAR}")
-    values: list[Any] = []
+    values: list[object] = []
     for item in _items(listed):
         if not item:
             raise UsageError(f"--sweep is {text!r}: an item of its list is empty; {GRAMMAR}")
@@ -99,7 +99,7 @@ def _items(text: str) -> list[str]:
     return [*items, text[start:].strip()]
 
 
-def _values_of(item: str, text: str) -> list[Any]:
+def _values_of(item: str, text: str) -> Sequence[object]:
     parts = item.split(":")
     if len(parts) == 1 or item[0] in '[{"':
         return [_value(item)]

@@ -9,7 +9,6 @@ import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +17,7 @@ from daq_service.cli.sweep.plan import VERSIONS_THAT_COUNT, Plan, code_version, 
 from daq_service.cli.sweep.shot import OK, RESULTS, Outcome
 from hardware_drivers.units import unit_of
 
-Column = NDArray[Any] | list[str]
+Column = NDArray[np.generic] | list[str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -43,20 +42,20 @@ class SweepTable:
     results: Mapping[str, NDArray[np.float64]]
     status: list[str]
     forces: list[tuple[NDArray[np.float64], float]] | None
-    facts: Mapping[str, Any]
+    facts: Mapping[str, object]
 
     @property
     def columns(self) -> dict[str, Column]:
         """All columns in the order of the file."""
         return {**self.swept, **self.results, "status": self.status}
 
-    def rows(self) -> list[dict[str, Any]]:
+    def rows(self) -> list[dict[str, object]]:
         """Return rows ready for JSON: None if there is no number."""
         columns = {name: _plain_list(values) for name, values in self.columns.items()}
         return [dict(zip(columns, cells, strict=True)) for cells in zip(*columns.values(), strict=True)]
 
 
-def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, Any]) -> SweepTable:
+def make_table(plan: Plan, outcomes: Sequence[Outcome], origin: Mapping[str, object]) -> SweepTable:
     """Arrange the outcomes of a plan, given in the order of its rows.
 
     Parameters
@@ -120,7 +119,7 @@ def _column(values: list[object]) -> Column:
     return [value if isinstance(value, str) else json_text(value) for value in values]
 
 
-def _plain_list(values: Column) -> list[Any]:
+def _plain_list(values: Column) -> Sequence[object]:
     if isinstance(values, list):
         return values
     cells = values.tolist()

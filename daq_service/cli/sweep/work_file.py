@@ -12,7 +12,7 @@ import hashlib
 import json
 import logging
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
@@ -161,7 +161,7 @@ def _content(plan: Plan, outcome: Outcome) -> dict[str, object]:
     return content
 
 
-def _outcome_of(plan: Plan, content: dict[str, Any]) -> Outcome | None:
+def _outcome_of(plan: Plan, content: Mapping[str, Any]) -> Outcome | None:
     """Return the outcome of a JSON object; None if it does not belong to the plan."""
     index = content["row"]
     if not 0 <= index < len(plan.rows) or plan.rows[index].key != content["key"]:
@@ -186,16 +186,16 @@ def _write_all(file: IO[bytes], content: bytes) -> None:
         rest = rest[file.write(rest) :]
 
 
-def _line(content: dict[str, Any]) -> bytes:
+def _line(content: Mapping[str, object]) -> bytes:
     """Return a line with its checksum."""
     text = json.dumps(content, separators=(",", ":")).encode()
     return hashlib.sha256(text).hexdigest().encode() + b" " + text + b"\n"
 
 
-def _content_of(line: bytes) -> dict[str, Any] | None:
+def _content_of(line: bytes) -> Mapping[str, Any] | None:
     """Return the JSON of a line; None if its checksum is wrong."""
     digest, _, text = line.partition(b" ")
     if hashlib.sha256(text).hexdigest().encode() != digest:
         return None
-    content: dict[str, Any] = json.loads(text)
+    content: Mapping[str, Any] = json.loads(text)
     return content

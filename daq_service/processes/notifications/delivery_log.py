@@ -12,7 +12,7 @@ import time
 from collections.abc import Collection, Mapping
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 from daq_service.processes.line_file import append_line, newest_lines
 
@@ -117,7 +117,7 @@ class DeliveryLog:
             The file cannot be read.
         """
 
-        def is_sent(row: Mapping[str, Any]) -> bool:
+        def is_sent(row: Mapping[str, object]) -> bool:
             is_heartbeat = (row.get("receiver"), row.get("what")) == (receiver, "heartbeat")
             return is_heartbeat and not str(row.get("result", row.get("told"))).startswith("withheld")
 

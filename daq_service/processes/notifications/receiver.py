@@ -14,16 +14,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 from daq_service.errors import BusyError, UsageError
+from daq_service.processes.notifications import messages
 from daq_service.processes.notifications.delivery_log import Delivery, DeliveryKind, DeliveryLog, Progress
-from daq_service.processes.notifications.messages import (
-    AlarmChange,
-    Message,
-    alarm_change_of,
-    alarm_message,
-    heartbeat_message,
-    key_of,
-    trial_message,
-)
 from daq_service.processes.notifications.rules import WaitingChanges, rule_of
 from daq_service.processes.notifications.source import Source
 from daq_service.processes.notifications.webhook import Outcome
@@ -43,7 +35,7 @@ MOST_REFUSALS = 5
 DEAD_AFTER_S = 600.0
 """A receiver that accepts nothing for this time is shown as a warning."""
 
-Send = Callable[[Message], Outcome]
+Send = Callable[[messages.Message], Outcome]
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -70,7 +62,7 @@ class State:
 class _OpenMessage:
     """Message in progress."""
 
-    changes: Sequence[AlarmChange]
+    changes: Sequence[messages.AlarmChange]
     key: str
     attempts: int = 0
     next_s: float = 0.0
@@ -163,7 +155,7 @@ class ReceiverQueue:
         if not self._test_lock.acquire(blocking=False):
             raise BusyError(f"a trial of {self.name} is under way; wait for its result")
         try:
-            message = trial_message(self._source.test(), self.name, author, now_ns=self._now_ns())
+            message = messages.trial_message(self._source.test(), self.name, author, now_ns=self._now_ns())
             outcome = self._attempt(self._send_test, message)
             kind: DeliveryKind = "tested" if outcome.ok else "test_failed"
             attempt = _OpenMessage(changes=(), key=message.key, attempts=1)
@@ -185,7 +177,7 @@ class ReceiverQueue:
             assert row.id is not None, "it is stored"
             self._last_read_id = row.id
             try:
-                change = alarm_change_of(row)
+                change = messages.alarm_change_of(row)
             except (KeyError, TypeError, ValueError, AttributeError):
                 log.exception("event %s cannot be read and is not sent", row.id)
                 change = None
@@ -209,7 +201,7 @@ class ReceiverQueue:
         if skipped_ids and not not_sent_ids and not outdated_ids:
             self._log_delivery("passed", "not for this receiver", skipped_ids)
 
-    def _is_too_old(self, change: AlarmChange) -> bool:
+    def _is_too_old(self, change: messages.AlarmChange) -> bool:
         return self._now_ns() - change.wall_utc_ns > self._settings.give_up_h * NS_PER_H
 
     # Outgoing messages
@@ -267,15 +259,17 @@ class ReceiverQueue:
         log.error("notifications for %s are given up: %s", self.name, description)
         self._log_delivery("gave_up", description, event_ids)
 
-    def _message(self, changes: Sequence[AlarmChange]) -> Message:
+    def _message(self, changes: Sequence[messages.AlarmChange]) -> messages.Message:
         qualities = self._source.qualities(changes)
-        return alarm_message(self._source.test(), self.name, changes, qualities, now_ns=self._now_ns())
+        return messages.alarm_message(
+            self._source.test(), self.name, changes, qualities, now_ns=self._now_ns()
+        )
 
-    def _new_message(self, changes: Sequence[AlarmChange]) -> _OpenMessage:
-        key = key_of(self._source.test(), self.name, [change.event_id for change in changes])
+    def _new_message(self, changes: Sequence[messages.AlarmChange]) -> _OpenMessage:
+        key = messages.key_of(self._source.test(), self.name, [change.event_id for change in changes])
         return _OpenMessage(changes=changes, key=key)
 
-    def _attempt(self, send: Send, message: Message) -> Outcome:
+    def _attempt(self, send: Send, message: messages.Message) -> Outcome:
         try:
             return send(message)
         except UsageError as error:  # a secret that is missing now: it may come back
@@ -296,7 +290,7 @@ class ReceiverQueue:
         if facts["recorder"] in ("not_responding", "not_started"):
             self._report_heartbeat("withheld", f"the recorder is {facts['recorder']}: {facts['doing']}")
             return
-        message = heartbeat_message(self._source.test(), self.name, facts, now_ns=now_ns)
+        message = messages.heartbeat_message(self._source.test(), self.name, facts, now_ns=now_ns)
         outcome = self._attempt(self._send, message)
         if outcome.ok:
             self.state.last_heartbeat_utc_ns = now_ns
@@ -323,7 +317,7 @@ class ReceiverQueue:
 
     def _resume(self, event_ids: list[int]) -> None:
         """Restore a message that a crash may have interrupted before its result was logged."""
-        all_changes = [alarm_change_of(row) for row in self._source.events(event_ids)]
+        all_changes = [messages.alarm_change_of(row) for row in self._source.events(event_ids)]
         changes = [item for item in all_changes if item is not None]
         if changes:
             self._current = self._new_message(changes)

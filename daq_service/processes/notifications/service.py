@@ -26,7 +26,7 @@ from daq_service.processes.notifications.delivery_log import DeliveryLog
 from daq_service.processes.notifications.messages import Message
 from daq_service.processes.notifications.receiver import ReceiverQueue
 from daq_service.processes.notifications.source import Source
-from daq_service.processes.notifications.webhook import Bounds, Cut, Outcome, post
+from daq_service.processes.notifications.webhook import Cut, Outcome, post
 from daq_service.processes.recorder_watch import RecorderWatch
 from daq_service.settings.notifications import ReceiverSettings
 from daq_service.settings.tree import Settings
@@ -51,8 +51,6 @@ class Notifications:
     ----------
     catalogue
         Opens the catalogue, or returns the open one; `NoDataYetError` before the first record.
-    bounds
-        Time limits of a webhook.
     monitors_recorder
         The sending process also monitors the recorder, which is another process.
     is_standby
@@ -65,16 +63,17 @@ class Notifications:
         folder: Path,
         catalogue: Callable[[], Catalogue],
         *,
-        bounds: Bounds | None = None,
         monitors_recorder: bool = True,
         is_standby: bool = False,
     ) -> None:
         self.settings, self._folder = settings.notifications, folder
-        self._watch = RecorderWatch(settings, folder, catalogue) if monitors_recorder else None
+        self._watch = None
+        if monitors_recorder:
+            self._watch = RecorderWatch(settings.schedule, settings.clock.kind, folder, catalogue)
         self._is_standby = is_standby
         self.deliveries = DeliveryLog(folder)
         self._source = Source(settings, folder, catalogue)
-        self._bounds, self._cuts = bounds or Bounds(), [Cut()]
+        self._cuts = [Cut()]
         self._stop = threading.Event()
         self._threads: list[threading.Thread] = []
         self.queues = self._new_queues()
@@ -120,7 +119,7 @@ class Notifications:
         address = address_of(name, receiver)
         if receiver.kind == "apprise":
             return deliver_by_apprise(address, message)
-        return post(address, message, bounds=self._bounds, cut=cut)
+        return post(address, message, cut=cut)
 
     def _send_while_owner(self) -> None:
         """Hold the lock while the other threads send (body of the main thread)."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 from daq_service.catalogue.reader import Catalogue, Filters
@@ -11,6 +12,7 @@ from daq_service.catalogue.store import NoDataYetError
 from daq_service.processes.freshness import Freshness
 from daq_service.processes.notifications.messages import AlarmChange, HeartbeatFacts, Test, test_of
 from daq_service.settings.tree import Settings
+from daq_service.settings.web import WebSettings
 
 
 class Source:
@@ -35,7 +37,7 @@ class Source:
 
     def test(self) -> Test:
         """Return the test; before its first record only with its name."""
-        page = page_address(self._settings)
+        page = page_address(self._settings.web)
         try:
             return test_of(self._catalogue().experiment_row(), page)
         except NoDataYetError:
@@ -53,8 +55,7 @@ class Source:
         """Return when an event was written, ns of UTC; 0 for id 0, None where there is no such event."""
         if event_id == 0:
             return 0
-        rows = self._catalogue().events_after(event_id - 1, limit=1)
-        return rows[0].wall_utc_ns if rows and rows[0].id == event_id else None
+        return next((row.wall_utc_ns for row in self.events([event_id])), None)
 
     def alarm_events(self, after: int, limit: int) -> Sequence[EventRow]:
         """Return events of alarms after an id; none before the first record."""
@@ -65,12 +66,8 @@ class Source:
 
     def events(self, event_ids: Sequence[int]) -> list[EventRow]:
         """Return the events with these ids, without missing ones."""
-        row_lists = [self._catalogue().events_after(event_id - 1, limit=1) for event_id in event_ids]
-        return [
-            rows[0]
-            for rows, event_id in zip(row_lists, event_ids, strict=True)
-            if rows and rows[0].id == event_id
-        ]
+        read = partial(self._catalogue().events_after, limit=1)
+        return [row for event_id in event_ids for row in read(event_id - 1) if row.id == event_id]
 
     def qualities(self, changes: Sequence[AlarmChange]) -> dict[int, str]:
         """Return the quality of the set with which each alarm was raised, by event, where it was measured."""
@@ -113,9 +110,8 @@ class Source:
         }
 
 
-def page_address(settings: Settings) -> str:
+def page_address(web: WebSettings) -> str:
     """Return the address of the page for other computers; empty where no host name is configured."""
-    web = settings.web
     if not web.host_names:
         return ""
     port = "" if web.proxy or web.port in (0, 443) else f":{web.port}"

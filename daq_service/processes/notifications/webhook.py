@@ -30,15 +30,8 @@ log = logging.getLogger(__name__)
 SIGNATURE, KEY = "Solimon-Signature", "Idempotency-Key"
 REFUSES_THE_MESSAGE = (400, 413, 422)
 LONGEST_RETRY_AFTER_S = 3600.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bounds:
-    """Time limits of an attempt, s: to connect, for each part of the response, in total."""
-
-    connect_s: float = 5.0
-    read_s: float = 10.0
-    total_s: float = 15.0
+CONNECT_WITHIN_S, READ_WITHIN_S, ANSWER_WITHIN_S = 5.0, 10.0, 15.0
+"""Time limits of an attempt: to connect, for each part of the response, in total."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,12 +98,11 @@ def post(
     address: Address,
     message: Message,
     *,
-    bounds: Bounds | None = None,
     cut: Cut | None = None,
     now_s: Callable[[], float] = time.time,
 ) -> Outcome:
-    """Try once to deliver a message; every error is returned as an outcome, within ``bounds.total_s``."""
-    bounds, cut = bounds or Bounds(), cut or Cut()
+    """Try once to deliver a message; every error is returned as an outcome, within `ANSWER_WITHIN_S`."""
+    cut = cut or Cut()
     parts = urlsplit(address.url)
     assert parts.hostname is not None, "the address was checked"
     body = message.encoded()
@@ -127,30 +119,30 @@ def post(
         timed_out.set()
         cut()
 
-    timer = threading.Timer(bounds.total_s, abort)
+    timer = threading.Timer(ANSWER_WITHIN_S, abort)
     timer.daemon = True
     timer.start()
     default_port = 443 if parts.scheme == "https" else 80
     connection = http.client.HTTPConnection(parts.hostname, parts.port or default_port)
     connection.auto_open = 0
     try:
-        connection.sock = _connect(parts.scheme, connection.host, connection.port, bounds, cut)
+        connection.sock = _connect(parts.scheme, connection.host, connection.port, cut)
         connection.request("POST", target, body, headers)
         response = connection.getresponse()
         return _outcome(response.status, response.headers.get("Retry-After"), now_s())
     except (OSError, http.client.HTTPException, ValueError) as error:
-        late = f"no answer within {bounds.total_s:g} s" if timed_out.is_set() else ""
-        return Outcome(ok=False, description=late or _error_description(error, bounds))
+        late = f"no answer within {ANSWER_WITHIN_S:g} s" if timed_out.is_set() else ""
+        return Outcome(ok=False, description=late or _error_description(error))
     finally:
         timer.cancel()
         cut.set_socket(None)
         connection.close()
 
 
-def _connect(scheme: str, host: str, port: int, bounds: Bounds, cut: Cut) -> socket.socket:
-    connection = socket.create_connection((host, port), timeout=bounds.connect_s)
+def _connect(scheme: str, host: str, port: int, cut: Cut) -> socket.socket:
+    connection = socket.create_connection((host, port), timeout=CONNECT_WITHIN_S)
     try:
-        connection.settimeout(bounds.read_s)
+        connection.settimeout(READ_WITHIN_S)
         cut.set_socket(connection)
         if scheme == "https":
             tls = ssl.create_default_context()
@@ -192,7 +184,7 @@ def _retry_after_s(text: str | None, now_s: float) -> float:
     return min(max(0.0, retry_after_s), LONGEST_RETRY_AFTER_S)
 
 
-def _error_description(error: Exception, bounds: Bounds) -> str:
+def _error_description(error: Exception) -> str:
     """Return a description of an error; the text of a library may repeat the address."""
     match error:
         case ssl.SSLCertVerificationError():
@@ -202,7 +194,7 @@ def _error_description(error: Exception, bounds: Bounds) -> str:
         case socket.gaierror():
             return "its host's name is not known here"
         case TimeoutError():
-            return f"no answer within {bounds.connect_s:g} s to connect and {bounds.read_s:g} s to answer"
+            return f"no answer within {CONNECT_WITHIN_S:g} s to connect and {READ_WITHIN_S:g} s to answer"
         case OSError():
             return error.strerror or "the connection broke"
         case _:

@@ -32,7 +32,7 @@ def repeat_action(event: EventRow, assessors: PositionAssessors, positions: Cont
     if event.kind in STEPS:
         assessors.renew(str(event.position))
     elif event.kind == "alarm_reset" and event.payload["kind"] in RETIRING and event.position in positions:
-        assessors.reinstate(str(event.position))
+        assessors.enable(str(event.position))
 
 
 def row_of(kind: type[R], event: EventRow, id_name: str = "id") -> R:

@@ -108,6 +108,12 @@ class AsOf(Answer):
     recorder: RecorderStatus
 
 
+class Dated(Answer):
+    """Base of the answers that state how fresh they are."""
+
+    as_of: AsOf
+
+
 @_of(rows.SetRow)
 class SetRow(Answer):
     """One set of one position."""
@@ -219,10 +225,9 @@ class CommandRow(Answer):
     expires_in_s: float | None
 
 
-class Page(Answer, Generic[A]):
+class Page(Dated, Generic[A]):
     """Frame of every listing."""
 
-    as_of: AsOf
     next_cursor: str | None
     items: list[A]
 
@@ -266,10 +271,9 @@ class AlarmTransition(Answer):
     shelved_until_utc: str | None
 
 
-class AlarmHistory(Answer):
+class AlarmHistory(Dated):
     """Every transition of an alarm, the oldest first."""
 
-    as_of: AsOf
     items: list[AlarmTransition]
 
 
@@ -312,10 +316,9 @@ class SupplyNow(Answer):
     """Present status of the supply, from the supply process, also without a recorder."""
 
 
-class EnvironmentNow(Answer):
+class EnvironmentNow(Dated):
     """Supply and climate around the newest set, and the supply now."""
 
-    as_of: AsOf
     latest: EnvironmentRow | None
     supply_now: SupplyNow | None
 
@@ -340,10 +343,9 @@ class TableList(Answer):
     items: list[TableInfo]
 
 
-class BaselineList(Answer):
+class BaselineList(Dated):
     """Every baseline, retired and collecting ones too, oldest first."""
 
-    as_of: AsOf
     items: list[BaselineRow]
 
 
@@ -375,10 +377,9 @@ class PositionState(PositionStanding):
     highest_priority: Priority | None
 
 
-class PositionList(Answer):
+class PositionList(Dated):
     """All monitored positions."""
 
-    as_of: AsOf
     items: list[PositionState]
 
 
@@ -464,7 +465,7 @@ class SupplyInfo(Answer):
     unwatched_s: float
 
 
-class Info(Answer):
+class Info(Dated):
     """Identity and configuration of the test."""
 
     name: str
@@ -486,7 +487,6 @@ class Info(Answer):
     asked: AskedInfo | None
     dry_run: bool | None
     last_event_id: int
-    as_of: AsOf
 
 
 class Liveness(Answer):
@@ -511,10 +511,9 @@ class DiskOutlook(Answer):
     """Forecast of the disk space; null: unknown before the first set file."""
 
 
-class ServiceHealth(Answer):
+class ServiceHealth(Dated):
     """Health of recorder, storage and service."""
 
-    as_of: AsOf
     recorder: RecorderHealth
     counts: dict[str, int]
     stream_clients: int
@@ -571,19 +570,18 @@ def _trend_columns() -> type[Answer]:
     return create_model("TrendColumns", __base__=Answer, __doc__=description, **fields)
 
 
-class Trend(Answer):
+class Trend(Dated):
     """Columns of equal length, one entry per set, or per bin where there are more sets than points."""
 
     position: str
     method: Method
-    as_of: AsOf
     units: dict[str, str]
     bin_sets: int
     columns: _trend_columns()  # type: ignore[valid-type] # made of the rows
     bins: TrendBins | None
 
 
-class Fit(Answer):
+class Fit(Dated):
     """Second-order polynomial through a trend: value = c0 + c1 t + c2 t^2, t in hours."""
 
     position: str
@@ -596,10 +594,9 @@ class Fit(Answer):
     from_h: float | None
     to_h: float | None
     reason: str | None
-    as_of: AsOf
 
 
-class WaveformAnswer(Answer):
+class WaveformAnswer(Dated):
     """One stored record in volts."""
 
     position: str
@@ -619,7 +616,6 @@ class WaveformAnswer(Answer):
     downsampled: bool
     time_s: list[float]
     voltage_v: list[float]
-    as_of: AsOf
     age_h: float
 
 

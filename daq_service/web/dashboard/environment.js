@@ -9,7 +9,7 @@ const QUALITIES = {
   good: { label: "Good", icon: "check", tone: "good" },
   suspect: { label: "Suspect", icon: "triangle", tone: "warn" },
   stale: { label: "Stale", icon: "triangle", tone: "warn" },
-  lost: { label: "Lost", icon: "link", tone: "alarm" },
+  no_communication: { label: "No communication", icon: "link", tone: "alarm" },
 };
 
 /** Format a current at the scale of the electrochemical supply. @param {number | null} current_a */

@@ -9,11 +9,7 @@ from typing import Literal
 
 from pydantic import ValidationError
 
-from daq_service.catalogue.errors import (
-    CatalogueDamagedError,
-    NoDataYetError,
-    SchemaVersionError,
-)
+from daq_service.catalogue.errors import CatalogueDamagedError, NoDataYetError, SchemaVersionError
 from daq_service.catalogue.experiment_file import read_experiment
 from daq_service.catalogue.rows import ExperimentRow
 from daq_service.catalogue.store import open_catalogue

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import matplotlib as mpl
@@ -23,6 +23,7 @@ BLUE, VERMILLION, PURPLE, GREEN, GREY = "#0072B2", "#D55E00", "#9c4a7c", "#009E7
 WIDTH_IN, PANEL_IN = 7.2, 1.75
 MARGIN = 0.01
 """Fraction of the hours at both ends, so that the first and last points are fully visible."""
+POOR = "suspect or bad"
 ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4}
 """Position of a legend above the axes."""
 RULES: Any = {
@@ -81,25 +82,14 @@ def _wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Ax
         _points(axis, position.values, name, factor, label)
     distance = axes[2]
     assessments = position.assessments
-    _line(distance, assessments, "distance_squared", linestyle="none", marker="o", color=BLUE, label="D²")
-    outliers = {
-        name: [value for value, outlier in zip(values, assessments["outlier"], strict=True) if outlier]
-        for name, values in assessments.items()
-    }
-    _line(
-        distance,
-        outliers,
-        "distance_squared",
-        gid="outliers",
-        linestyle="none",
-        marker="D",
-        markersize=5,
-        markerfacecolor="none",
-        color=VERMILLION,
-        label="outlier",
-    )
-    _line(distance, assessments, "limit_f_predictive", color=VERMILLION, label="F limit")
-    _line(distance, assessments, "limit_mean_3sd", color=PURPLE, linestyle="--", label="paper's limit")
+    dots = {"linestyle": "none", "marker": "o", "color": BLUE, "label": "D²"}
+    diamonds = {"marker": "D", "markersize": 5, "markerfacecolor": "none", "color": VERMILLION}
+    outliers = dots | diamonds | {"label": "outlier"}
+    _line(distance, assessments, "distance_squared", dots)
+    _line(distance, assessments, "distance_squared", outliers, rows=assessments["outlier"], gid="outliers")
+    _line(distance, assessments, "limit_f_predictive", {"color": VERMILLION, "label": "F limit"})
+    dashed = {"color": PURPLE, "linestyle": "--", "label": "paper's limit"}
+    _line(distance, assessments, "limit_mean_3sd", dashed)
     if any(value is not None and value > 0.0 for value in assessments["distance_squared"]):
         distance.set_yscale("log")
         distance.yaxis.set_major_formatter(LogFormatter())
@@ -122,28 +112,32 @@ def _echo_panels(contents: Contents, position: PositionReport, axes: Sequence[Ax
 
 def _points(axis: Axes, columns: Columns, name: str, factor: float, label: str) -> None:
     """Draw each set as a point, or as a cross where its quality is not good."""
-    scaled = {**columns, name: [None if value is None else factor * value for value in columns[name]]}
     for gid, good, style in (
-        (name, True, {"marker": "o", "color": BLUE}),
-        (f"{name}-poor", False, {"marker": "x", "color": VERMILLION, "label": "suspect or bad"}),
+        (name, True, {"linestyle": "none", "marker": "o", "color": BLUE}),
+        (f"{name}-poor", False, {"linestyle": "none", "marker": "x", "color": VERMILLION, "label": POOR}),
     ):
-        selection = [(quality == "good") is good for quality in columns["quality"]]
-        selected = {
-            key: [value for value, wanted in zip(values, selection, strict=True) if wanted]
-            for key, values in scaled.items()
-        }
-        if selected[name]:
-            _line(axis, selected, name, gid=gid, linestyle="none", **style)
+        rows = [(quality == "good") is good for quality in columns["quality"]]
+        if any(rows):
+            _line(axis, columns, name, style, rows=rows, factor=factor, gid=gid)
     axis.set_ylabel(label)
     if axis.get_legend_handles_labels()[1]:
         axis.legend(**ABOVE)
 
 
-def _line(axis: Axes, columns: Columns, name: str, *, gid: str = "", **style: Any) -> None:
-    """Draw a column over the hours, without missing values."""
-    points = [
-        (h, value) for h, value in zip(columns["due_h"], columns[name], strict=True) if value is not None
-    ]
+def _line(
+    axis: Axes,
+    columns: Columns,
+    name: str,
+    style: Mapping[str, Any],
+    *,
+    rows: Sequence[bool | None] | None = None,
+    factor: float = 1.0,
+    gid: str = "",
+) -> None:
+    """Draw a column, or some rows of it, over the hours, without missing values."""
+    wanted = [True] * len(columns[name]) if rows is None else rows
+    cells = zip(columns["due_h"], columns[name], wanted, strict=True)
+    points = [(hour, factor * value) for hour, value, drawn in cells if drawn and value is not None]
     axis.plot([hour for hour, _ in points], [value for _, value in points], gid=gid or name, **style)
 
 

@@ -78,7 +78,7 @@ def _newest(position: PositionReport, settings: Settings) -> Row:
     if position.state == NOT_ASSESSED and assessment is not None and assessment.reason:
         value = f"not judged: {assessment.reason}"
     limit = significant(position.limit)
-    if (chart := deciding_chart(assessment, settings)) is None:
+    if (chart := deciding_chart(assessment, settings.alarms)) is None:
         return value, limit
     return f"{value}; chart {significant(chart[0])}", f"{limit}; chart {significant(chart[1])}"
 

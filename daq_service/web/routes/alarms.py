@@ -3,25 +3,24 @@
 from __future__ import annotations
 
 from dataclasses import asdict
-from typing import Annotated
 
-from fastapi import APIRouter, Path
+from fastapi import APIRouter
 
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.transitions import transition
 from daq_service.catalogue.rows import EventRow
-from daq_service.commands.kinds import LARGEST_ID
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.problem import not_found
 from daq_service.web.context import ContextOf
+from daq_service.web.routes.listing import RowId
 
 router = APIRouter(tags=["alarms"])
 ERRORS = models.problems(404, 503)
 
 
 @router.get("/alarms/{alarm_id}", response_model=models.AlarmRow, responses=ERRORS)
-def get_alarm(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
+def get_alarm(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return one alarm with its evidence."""
     row = context.catalogue().alarm(alarm_id)
     if row is None:
@@ -30,7 +29,7 @@ def get_alarm(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: Cont
 
 
 @router.get("/alarms/{alarm_id}/history", response_model=models.AlarmHistory, responses=ERRORS)
-def get_alarm_history(alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
+def get_alarm_history(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return every transition of an alarm, the oldest first, with time, person and reason."""
     catalogue, fresh = context.catalogue(), context.freshness()
     row = catalogue.alarm(alarm_id)

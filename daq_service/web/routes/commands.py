@@ -7,26 +7,16 @@ from contextlib import suppress
 from functools import partial
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path, Request
+from fastapi import APIRouter, Depends, Request
 from pydantic import Field
 from starlette.responses import Response
 
 from daq_service.alarms.states import Moment
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, values
+from daq_service.commands import kinds
 from daq_service.commands.audit import Result
 from daq_service.commands.deadline import command_state
-from daq_service.commands.kinds import (
-    LARGEST_ID,
-    AcknowledgeAlarm,
-    AlarmArguments,
-    Author,
-    Command,
-    CommandRejectedError,
-    Facts,
-    StoredCommand,
-    Strict,
-)
 from daq_service.commands.registry import AnyCommand
 from daq_service.commands.without_recorder import carry_out_unattended
 from daq_service.errors import BusyError, StorageError
@@ -37,19 +27,20 @@ from daq_service.web.answers.problem import Problem, conflict, not_found
 from daq_service.web.auth.roles import ORDERS, Person
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf, role_too_low, write_audit_entry
+from daq_service.web.routes.listing import RowId
 from hardware_drivers.methods import SOLITARY_WAVE
 
 router = APIRouter(tags=["commands"])
 
 
-class Acknowledgement(Strict):
+class Acknowledgement(kinds.Strict):
     """Body of an acknowledgement."""
 
-    author: Author = "operator"
+    author: kinds.Author = "operator"
     note: str = Field(default="", max_length=2000)
 
 
-ExecuteCommand = Callable[[Command], Response]
+ExecuteCommand = Callable[[kinds.Command], Response]
 """Stores a command in the name of its author, or executes it, and returns the response with its row."""
 
 
@@ -74,21 +65,19 @@ def create_command(command: AnyCommand, execute: ExecuteOf) -> Response:
 
 
 @_accepts("/alarms/{alarm_id}/acknowledge")
-def acknowledge_alarm(
-    alarm_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], body: Acknowledgement, execute: ExecuteOf
-) -> Response:
+def acknowledge_alarm(alarm_id: RowId, body: Acknowledgement, execute: ExecuteOf) -> Response:
     """Acknowledge an alarm; the same as the command `acknowledge_alarm`."""
-    arguments = AlarmArguments(alarm_id=alarm_id, note=body.note)
-    return execute(AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
+    arguments = kinds.AlarmArguments(alarm_id=alarm_id, note=body.note)
+    return execute(kinds.AcknowledgeAlarm(kind="acknowledge_alarm", author=body.author, arguments=arguments))
 
 
 @router.get("/commands/{command_id}", response_model=CommandRow, responses=problems(404, 503))
-def get_command(command_id: Annotated[int, Path(ge=1, le=LARGEST_ID)], context: ContextOf) -> JsonAnswer:
+def get_command(command_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return a command with its state and result."""
     return JsonAnswer(_row(context, command_id))
 
 
-def _execute_audited(context: Context, request: Request, person: Person, command: Command) -> Response:
+def _execute_audited(context: Context, request: Request, person: Person, command: kinds.Command) -> Response:
     """Store or execute a command in the name of its author, and audit the result."""
     audit = partial(
         write_audit_entry,
@@ -112,21 +101,21 @@ def _execute_audited(context: Context, request: Request, person: Person, command
     )
 
 
-def _write_or_execute(context: Context, command: Command) -> tuple[int, Result]:
+def _write_or_execute(context: Context, command: kinds.Command) -> tuple[int, Result]:
     """Store an allowed command, or execute it without a recorder; return its id and the result."""
     catalogue = context.catalogue()
     try:
-        if isinstance(command, StoredCommand) and is_owned(context.data_folder) is False:
+        if isinstance(command, kinds.StoredCommand) and is_owned(context.data_folder) is False:
             with suppress(BusyError):  # a recorder has started meanwhile: it gets the command
                 return _execute_here(context, command), "done"
         command.refuse_forbidden(_facts(context, catalogue))
-    except CommandRejectedError as error:
+    except kinds.CommandRejectedError as error:
         refusal = error.refusal
         raise (not_found if refusal.missing else conflict)(refusal.detail, refusal.hint) from None
     return catalogue.add_command(command.author, command.kind, command.arguments.model_dump()), "accepted"
 
 
-def _execute_here(context: Context, command: StoredCommand) -> int:
+def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
     def moment() -> Moment:
         now = context.freshness()
         return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
@@ -135,8 +124,8 @@ def _execute_here(context: Context, command: StoredCommand) -> int:
     return carry_out_unattended(context.data_folder, command, facts=facts, moment=moment)
 
 
-def _facts(context: Context, catalogue: Catalogue) -> Facts:
-    return Facts(
+def _facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
+    return kinds.Facts(
         recorder=context.freshness().recorder.status,
         recorded=is_owned(context.data_folder) is not False,
         can_skip_time=context.settings.clock.is_paced,

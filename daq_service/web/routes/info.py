@@ -10,7 +10,6 @@ from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
 from daq_service.web.answers.models import Info, SupplyInfo, problems
 from daq_service.web.answers.version import distribution_version
 from daq_service.web.context import ContextOf, Freshness
-from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.nanoseconds import NS_PER_S
 
 router = APIRouter(tags=["info"])
@@ -66,7 +65,8 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 "n": settings.alarms.n,
                 "thickness_loss_fraction": settings.alarms.thickness_loss_fraction,
             },
-            "supply": _supply(settings.rig.driven),
+            "supply": settings.rig.driven
+            and {name: getattr(settings.rig.driven, name) for name in SupplyInfo.model_fields},
             "initial_thickness_m": settings.ultrasound.initial_thickness_m,
             "positions": [
                 {
@@ -91,10 +91,6 @@ def _named_limits() -> list[dict[str, str]]:
         {"name": name, "description": limit.words, "of": limit.of, "unit": limit.unit}
         for name, limit in LIMITS.items()
     ]
-
-
-def _supply(drive: DriveParameters | None) -> dict[str, object] | None:
-    return None if drive is None else {name: getattr(drive, name) for name in SupplyInfo.model_fields}
 
 
 def _current_request(catalogue: Catalogue, fresh: Freshness) -> dict[str, object] | None:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from typing import Annotated
 
-from fastapi import Query
+from fastapi import Path, Query
 
 from daq_service.catalogue.published_columns import Purposes
+from daq_service.commands.kinds import LARGEST_ID
 from daq_service.web.answers.problem import invalid
 
 LARGEST_PAGE = 1000
 LARGEST_HOUR = 1e7
 LARGEST_INDEX = 2**31 - 1
 
+Index = Annotated[int, Path(ge=0, le=LARGEST_INDEX)]
+RowId = Annotated[int, Path(ge=1, le=LARGEST_ID)]
 Limit = Annotated[int, Query(ge=1, le=LARGEST_PAGE, description="Most items of a page")]
 CursorText = Annotated[str | None, Query(max_length=200, description="`next_cursor` of the page before")]
 FromHour = Annotated[

@@ -14,13 +14,7 @@ from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, genera
 from prometheus_client.registry import Collector
 from starlette.responses import Response
 
-from daq_service.assessment.position_status import (
-    PositionStatus,
-    data_hour,
-    is_stale,
-    limit_of,
-    status_of,
-)
+from daq_service.assessment.position_status import PositionStatus, data_hour, is_stale, limit_of, status_of
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.processes.disk_policy import LEVELS, outlook

@@ -2,59 +2,36 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from inspect import Parameter, Signature
 from typing import Annotated, Any, Literal, cast
 
-from fastapi import APIRouter, Path, Query
+from fastapi import APIRouter, Query
 from pydantic import BaseModel
 
+from daq_service.catalogue import rows
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rows import (
-    AlarmRow,
-    AlarmState,
-    AnnotationRow,
-    AssessmentRow,
-    EnvironmentRow,
-    FeatureRow,
-    Priority,
-    Row,
-    SetRow,
-    SetState,
-    ShotRow,
-    ThicknessRow,
-)
 from daq_service.web.answers import cursors, models
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.context import Context, ContextOf, Freshness
-from daq_service.web.routes.listing import (
-    LARGEST_INDEX,
-    CursorText,
-    FromHour,
-    Limit,
-    PositionFilter,
-    PurposeFilter,
-    ToHour,
-    last_hour,
-    listing_name,
-)
+from daq_service.web.routes import listing
 from daq_service.web.tables.baselines import published_baselines
 from daq_service.web.tables.quality import assessed_qualities
 
 router = APIRouter()
 Parameters = dict[str, tuple[object, object]]
 """Type and default of query parameters by name."""
-HOURS: Parameters = {"from_h": (FromHour, None), "to_h": (ToHour, None)}
-POSITION: Parameters = {"position": (PositionFilter, None)}
-SET_INDEX: Parameters = {"set_index": (Annotated[int | None, Query(ge=0, le=LARGEST_INDEX)], None)}
-PURPOSE: Parameters = {"purpose": (PurposeFilter, "planned")}
+HOURS: Parameters = {"from_h": (listing.FromHour, None), "to_h": (listing.ToHour, None)}
+POSITION: Parameters = {"position": (listing.PositionFilter, None)}
+SET_INDEX: Parameters = {"set_index": (Annotated[int | None, Query(ge=0, le=listing.LARGEST_INDEX)], None)}
+PURPOSE: Parameters = {"purpose": (listing.PurposeFilter, "planned")}
 
 
 def add_listing(
     resource: str,
-    kind: type[Row],
+    kind: type[rows.Row],
     page: type[BaseModel],
     description: str,
     filters: Parameters,
@@ -75,24 +52,26 @@ def add_listing(
         Converts rows to JSON; None: the row with its age.
     """
 
-    def listing(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
+    def page_of(context: Context, cursor: str | None, limit: int, **query: Any) -> JsonAnswer:
         if query.get("position") is not None:
             context.checked_position(query["position"])
-        last_hour(query.get("from_h"), query.get("to_h"))
-        name = listing_name(resource, **query)
-        query["after_id"] = cursors.decode(name, cursor)
+        name = listing.listing_name(resource, **query)
+        chosen = {key: value for key, value in query.items() if key not in HOURS}
+        chosen["first_h"] = query.get("from_h")
+        chosen["last_h"] = listing.last_hour(query.get("from_h"), query.get("to_h"))
+        chosen["after_id"] = cursors.decode(name, cursor)
         catalogue, fresh = context.catalogue(), context.freshness()
-        rows: Sequence[Any] = catalogue.rows(kind, limit=limit + 1, **_filters(query))
-        page_rows = rows[:limit]
+        found: Sequence[Any] = catalogue.rows(kind, limit=limit + 1, **cast(Filters, chosen))
+        page_rows = found[:limit]
         items = (
             render_rows(context, fresh, page_rows) if render_rows else [fresh.row(row) for row in page_rows]
         )
-        next_cursor = cursors.encode(name, page_rows[-1].id) if len(rows) > limit else None
+        next_cursor = cursors.encode(name, page_rows[-1].id) if len(found) > limit else None
         return JsonAnswer({"as_of": fresh.as_of(), "next_cursor": next_cursor, "items": items})
 
-    parameters = {**filters, "cursor": (CursorText, None), "limit": (Limit, 100)}
+    parameters = {**filters, "cursor": (listing.CursorText, None), "limit": (listing.Limit, 100)}
     # FastAPI reads from the signature which parameters there are.
-    listing.__signature__ = Signature(  # type: ignore[attr-defined]  # `inspect` documents it, mypy lacks it
+    page_of.__signature__ = Signature(  # type: ignore[attr-defined]  # `inspect` documents it, mypy lacks it
         [
             Parameter("context", Parameter.KEYWORD_ONLY, annotation=ContextOf),
             *(
@@ -101,57 +80,50 @@ def add_listing(
             ),
         ]
     )
-    listing.__doc__ = description
+    page_of.__doc__ = description
     router.get(
         f"/{resource}",
         tags=[resource],
         name=f"list_{resource}",
         response_model=page,
         responses=problems(404, 503) if "position" in filters else problems(503),
-    )(listing)
-
-
-def _filters(query: Mapping[str, Any]) -> Filters:
-    """Return query parameters as filters of the catalogue."""
-    from_h, to_h = query.get("from_h"), query.get("to_h")
-    chosen: dict[str, object] = {name: query[name] for name in query if name not in HOURS}
-    return cast(Filters, chosen | {"first_h": from_h, "last_h": last_hour(from_h, to_h)})
+    )(page_of)
 
 
 def with_quality(
-    context: Context, fresh: Freshness, rows: Sequence[AssessmentRow]
+    context: Context, fresh: Freshness, assessments: Sequence[rows.AssessmentRow]
 ) -> list[dict[str, object]]:
     """Return assessments for an answer, each with the quality of its feature or thickness."""
     methods = {name: place.method for name, place in context.settings.positions.items()}
-    qualities = assessed_qualities(context.catalogue(), methods, rows)
-    return [fresh.row(row, quality=quality) for row, quality in zip(rows, qualities, strict=True)]
+    qualities = assessed_qualities(context.catalogue(), methods, assessments)
+    return [fresh.row(row, quality=quality) for row, quality in zip(assessments, qualities, strict=True)]
 
 
 add_listing(
     "sets",
-    SetRow,
+    rows.SetRow,
     models.SetPage,
     "List one row a set and position, in the order in which they were stored.",
-    POSITION | {"state": (SetState | None, None)} | SET_INDEX | HOURS | PURPOSE,
+    POSITION | {"state": (rows.SetState | None, None)} | SET_INDEX | HOURS | PURPOSE,
 )
 SCOPE = Annotated[Literal["set", "shot"], Query(description="Means of sets, or single shots")]
 add_listing(
     "features",
-    FeatureRow,
+    rows.FeatureRow,
     models.FeaturePage,
     "List features with their quality and age.",
     POSITION | {"scope": (SCOPE, "set")} | SET_INDEX | HOURS | PURPOSE,
 )
 add_listing(
     "thickness",
-    ThicknessRow,
+    rows.ThicknessRow,
     models.ThicknessPage,
     "List pulse-echo results with their quality and age.",
     POSITION | SET_INDEX | HOURS,
 )
 add_listing(
     "assessments",
-    AssessmentRow,
+    rows.AssessmentRow,
     models.AssessmentPage,
     "List assessments with the quality of the feature that was judged.",
     POSITION | SET_INDEX | HOURS | PURPOSE,
@@ -159,7 +131,7 @@ add_listing(
 )
 add_listing(
     "environment",
-    EnvironmentRow,
+    rows.EnvironmentRow,
     models.EnvironmentPage,
     "List supply and climate, one row a set; no rows where neither is configured.",
     HOURS,
@@ -167,15 +139,15 @@ add_listing(
 ACTIVE = Annotated[bool | None, Query(description="true: not closed; false: closed; absent: all")]
 add_listing(
     "alarms",
-    AlarmRow,
+    rows.AlarmRow,
     models.AlarmPage,
     "List alarms in the order they were raised.",
     POSITION
     | HOURS
     | {
         "active": (ACTIVE, None),
-        "state": (Annotated[AlarmState | None, Query(description="Only this state")], None),
-        "priority": (Annotated[Priority | None, Query(description="Only this priority")], None),
+        "state": (Annotated[rows.AlarmState | None, Query(description="Only this state")], None),
+        "priority": (Annotated[rows.Priority | None, Query(description="Only this priority")], None),
         "kind": (Annotated[str | None, Query(max_length=50, description="Only this kind")], None),
     },
 )
@@ -184,7 +156,7 @@ add_listing(
 WITHDRAWN = Annotated[bool | None, Query(description="true: those withdrawn; false: the others; absent: all")]
 add_listing(
     "annotations",
-    AnnotationRow,
+    rows.AnnotationRow,
     models.AnnotationPage,
     "List annotations of any hour of a range, in the order they were written.",
     POSITION | HOURS | {"withdrawn": (WITHDRAWN, None)},
@@ -197,25 +169,23 @@ add_listing(
     response_model=models.ShotPage,
     responses=problems(404, 503),
 )
-def list_shots(
-    context: ContextOf, position: str, set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)]
-) -> JsonAnswer:
+def list_shots(context: ContextOf, position: str, set_index: listing.Index) -> JsonAnswer:
     """List the stored shots of one set, in one page."""
     context.checked_position(position)
     fresh = context.freshness()
-    rows = context.catalogue().rows(ShotRow, position=position, set_index=set_index)
-    if not rows:
+    shots = context.catalogue().rows(rows.ShotRow, position=position, set_index=set_index)
+    if not shots:
         raise not_found(
             f"No shot of position {position}, set {set_index} is stored.", "/api/v1/sets lists the sets."
         )
-    items = [fresh.row(row) for row in rows]
+    items = [fresh.row(row) for row in shots]
     return JsonAnswer({"as_of": fresh.as_of(), "next_cursor": None, "items": items})
 
 
 @router.get(
     "/baselines", tags=["assessments"], response_model=models.BaselineList, responses=problems(404, 503)
 )
-def list_baselines(context: ContextOf, position: PositionFilter = None) -> JsonAnswer:
+def list_baselines(context: ContextOf, position: listing.PositionFilter = None) -> JsonAnswer:
     """List the baselines of each position, the newest last: lifecycle, statistics, limits, provenance."""
     if position is not None:
         context.checked_position(position)

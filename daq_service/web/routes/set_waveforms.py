@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from fastapi import APIRouter, Path, Request
+from fastapi import APIRouter, Request
 from starlette.responses import Response
 
 from analysis.ultrasound.thickness import THICKEST_FRACTION, THINNEST_FRACTION
@@ -20,7 +18,7 @@ from daq_service.web.answers.models import UNCHANGED, files, problems
 from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
-from daq_service.web.routes.listing import LARGEST_INDEX
+from daq_service.web.routes.listing import Index
 from daq_service.web.routes.waveforms import OCTET_STREAM, little_endian
 from hardware_drivers.methods import SOLITARY_WAVE
 
@@ -32,12 +30,7 @@ router = APIRouter(tags=["waveforms"])
     response_class=Response,
     responses=files(OCTET_STREAM) | UNCHANGED | problems(404, 503),
 )
-def get_set_waveforms(
-    request: Request,
-    context: ContextOf,
-    position: str,
-    set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
-) -> Response:
+def get_set_waveforms(request: Request, context: ContextOf, position: str, set_index: Index) -> Response:
     """Return the accepted waveforms of a set: u32 header length, JSON header, then all samples.
 
     The header names each record (shot_index, sequence, dtype, n_samples, sample_rate_hz, pretrigger_samples;

@@ -152,9 +152,8 @@ def accepted(accept: str) -> str:
     for part in accept.split(","):
         media_type, *parameters = (piece.strip().lower() for piece in part.split(";"))
         weight = next((piece[2:] for piece in parameters if piece.startswith("q=")), "1")
-        is_number = weight.replace(".", "", 1).isdecimal()
-        if media_type in types:
-            offers.append((float(weight) if is_number else 0.0, types[media_type]))
+        if media_type in types and weight.replace(".", "", 1).isdecimal():
+            offers.append((float(weight), types[media_type]))
     best = max(offers, key=lambda offer: offer[0], default=(0.0, "csv"))
     return best[1] if best[0] > 0.0 else "csv"
 

@@ -9,7 +9,7 @@ import time
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Path, Query, Request, WebSocket, WebSocketDisconnect
+from fastapi import APIRouter, Query, Request, WebSocket, WebSocketDisconnect
 from numpy.typing import NDArray
 from starlette.responses import Response
 
@@ -24,7 +24,7 @@ from daq_service.web.answers.problem import not_found
 from daq_service.web.answers.unchanged import unchanged
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf
-from daq_service.web.routes.listing import LARGEST_INDEX
+from daq_service.web.routes.listing import Index
 from daq_service.web.streams.live_figures import Picture, decode_header, unreadable_picture
 from hardware_drivers.measurement import Waveform
 
@@ -73,8 +73,8 @@ def get_waveform(
     request: Request,
     context: ContextOf,
     position: str,
-    set_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
-    shot_index: Annotated[int, Path(ge=0, le=LARGEST_INDEX)],
+    set_index: Index,
+    shot_index: Index,
     form: Annotated[Literal["json", "npy", "octets"], Query(alias="format")] = "json",
     points: Annotated[int | None, Query(ge=4, le=MOST_POINTS)] = None,
 ) -> Response:

@@ -9,21 +9,9 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from daq_service.alarms.evidence import evidence_sentences
-from daq_service.catalogue import Catalogue
+from daq_service.catalogue import Catalogue, rows
 from daq_service.catalogue.published_columns import PublishedColumn, Purposes, described_columns, with_parts
 from daq_service.catalogue.reader import Filters
-from daq_service.catalogue.rows import (
-    AlarmRow,
-    AnnotationRow,
-    AssessmentRow,
-    BaselineRow,
-    EnvironmentRow,
-    FeatureRow,
-    Row,
-    SetRow,
-    ThicknessRow,
-    values,
-)
 from daq_service.errors import UsageError
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.stored import stored_settings
@@ -47,7 +35,7 @@ Columns = dict[str, list[Any]]
 class TableKind:
     """Exportable table; ``unscheduled_set``: it also has rows of confirmation sets."""
 
-    row: type[Row]
+    row: type[rows.Row]
     description: str
     fixed: Filters = field(default_factory=Filters)
     unscheduled_set: bool = False
@@ -59,17 +47,19 @@ class TableKind:
 
 
 TABLES: Mapping[str, TableKind] = {
-    "sets": TableKind(SetRow, "Planned sets and what became of them", unscheduled_set=True),
-    "features": TableKind(FeatureRow, "Features of sets", {"scope": "set"}, unscheduled_set=True),
+    "sets": TableKind(rows.SetRow, "Planned sets and what became of them", unscheduled_set=True),
+    "features": TableKind(rows.FeatureRow, "Features of sets", {"scope": "set"}, unscheduled_set=True),
     "shot_features": TableKind(
-        FeatureRow, "Features of single shots", {"scope": "shot"}, unscheduled_set=True
+        rows.FeatureRow, "Features of single shots", {"scope": "shot"}, unscheduled_set=True
     ),
-    "assessments": TableKind(AssessmentRow, "Squared distances, limits and outliers", unscheduled_set=True),
-    "thickness": TableKind(ThicknessRow, "Pulse-echo results"),
-    "environment": TableKind(EnvironmentRow, "Supply and climate around each set"),
-    "baselines": TableKind(BaselineRow, "Baselines of every position: lifecycle, quality, limits"),
-    "alarms": TableKind(AlarmRow, "Alarms with their proofs"),
-    "annotations": TableKind(AnnotationRow, "What people noted of hours of the test"),
+    "assessments": TableKind(
+        rows.AssessmentRow, "Squared distances, limits and outliers", unscheduled_set=True
+    ),
+    "thickness": TableKind(rows.ThicknessRow, "Pulse-echo results"),
+    "environment": TableKind(rows.EnvironmentRow, "Supply and climate around each set"),
+    "baselines": TableKind(rows.BaselineRow, "Baselines of every position: lifecycle, quality, limits"),
+    "alarms": TableKind(rows.AlarmRow, "Alarms with their proofs"),
+    "annotations": TableKind(rows.AnnotationRow, "What people noted of hours of the test"),
 }
 
 
@@ -143,10 +133,12 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
     """
     experiment = catalogue.experiment_row()
     kind, names = TABLES[choice.table], [column.name for column in choice.columns]
-    if kind.row is BaselineRow:
+    if kind.row is rows.BaselineRow:
         settings = stored_settings(experiment.configuration)
         rows_json = [
-            with_parts(BaselineRow, with_utc({**values(row), **extra_columns}, experiment.epoch_utc_ns))
+            with_parts(
+                rows.BaselineRow, with_utc({**rows.values(row), **extra_columns}, experiment.epoch_utc_ns)
+            )
             for row, extra_columns in published_baselines(
                 catalogue, settings, experiment.epoch_utc_ns, choice.position
             )
@@ -157,20 +149,20 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
     filters: Filters = {**kind.fixed, "position": choice.position}
     if kind.unscheduled_set:
         filters |= {"purpose": choice.purpose}
-    by_set = kind.row is not AlarmRow
+    by_set = kind.row is not rows.AlarmRow
     if by_set:
         filters |= {"first_h": choice.from_h, "last_h": last_hour_inside(choice.to_h)}
     is_first = True
     while True:
-        rows: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **filters)
-        if rows or is_first:
+        stored: Sequence[Any] = catalogue.rows(kind.row, limit=PAGE_ROWS, **filters)
+        if stored or is_first:
             selected: list[Any] = [
-                row for row in rows if by_set or _is_inside(choice, row.raised_h, row.raised_h)
+                row for row in stored if by_set or _is_inside(choice, row.raised_h, row.raised_h)
             ]
             if not by_set:
                 selected = list(map(fresh.standing, selected))
-            rows_json = [with_utc(values(row), experiment.epoch_utc_ns) for row in selected]
-            if kind.row is AssessmentRow:
+            rows_json = [with_utc(rows.values(row), experiment.epoch_utc_ns) for row in selected]
+            if kind.row is rows.AssessmentRow:
                 methods = {
                     name: place["method"] for name, place in experiment.configuration["positions"].items()
                 }
@@ -178,14 +170,14 @@ def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Co
                     rows_json, assessed_qualities(catalogue, methods, selected), strict=True
                 ):
                     row["quality"] = quality
-            if kind.row is AlarmRow:
+            if kind.row is rows.AlarmRow:
                 baselines = catalogue.baselines_by_id()
                 for row, alarm in zip(rows_json, selected, strict=True):
                     row["evidence_sentences"] = evidence_sentences(alarm, baselines)
             yield _by_column([with_parts(kind.row, row) for row in rows_json], names)
-        if len(rows) < PAGE_ROWS:
+        if len(stored) < PAGE_ROWS:
             return
-        filters["after_id"] = rows[-1].id
+        filters["after_id"] = stored[-1].id
         is_first = False
 
 
@@ -201,8 +193,8 @@ def _is_inside(choice: Choice, first_h: float, last_h: float) -> bool:
     )
 
 
-def _by_column(rows: Sequence[Mapping[str, object]], names: Sequence[str]) -> Columns:
-    return {name: [_plain(row[name]) for row in rows] for name in names}
+def _by_column(rows_json: Sequence[Mapping[str, object]], names: Sequence[str]) -> Columns:
+    return {name: [_plain(row[name]) for row in rows_json] for name in names}
 
 
 def _plain(value: object) -> object:

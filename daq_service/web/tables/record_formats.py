@@ -21,19 +21,8 @@ import orjson
 from daq_service.archive.table_file import records_image
 from daq_service.catalogue import Catalogue
 from daq_service.processes.freshness import Freshness
+from daq_service.web.tables import formats
 from daq_service.web.tables.export import facts_of
-from daq_service.web.tables.formats import (
-    Facts,
-    arrow_array,
-    arrow_field,
-    as_array,
-    facts_text,
-    mat_image,
-    npz_image,
-    pyarrow,
-    with_texts,
-    written_arrow,
-)
 from daq_service.web.tables.records import OF_RECORD, RecordChoice, RecordSlice
 
 NAME = "waveforms"
@@ -64,15 +53,20 @@ def exported_records(
     arrays = {
         "time_s": records.time_s,
         "voltage_v": records.voltage_v,
-        **{column.name: as_array(column, records.columns[column.name]) for column in OF_RECORD},
+        **{column.name: formats.as_array(column, records.columns[column.name]) for column in OF_RECORD},
     }
     if form == "npz":
-        return npz_image(arrays, facts)
+        return formats.npz_image(arrays, facts)
     if form == "mat":
-        return mat_image(NAME, arrays, UNITS, facts)
-    columns = {column.name: with_texts(arrays[column.name]) for column in OF_RECORD}
+        return formats.mat_image(NAME, arrays, UNITS, facts)
+    columns = {column.name: formats.with_texts(arrays[column.name]) for column in OF_RECORD}
     return records_image(
-        NAME, columns, records.time_s, records.voltage_v, axis="sequence", facts_text=facts_text(facts)
+        NAME,
+        columns,
+        records.time_s,
+        records.voltage_v,
+        axis="sequence",
+        facts_text=formats.facts_text(facts),
     )
 
 
@@ -88,16 +82,16 @@ def _csv(records: RecordSlice) -> bytes:
     return text.getvalue().encode() + cells.replace(b"],[", b"\r\n").replace(b"null", b"") + b"\r\n"
 
 
-def _arrow(records: RecordSlice, facts: Facts, form: str) -> bytes:
-    arrow = pyarrow()
+def _arrow(records: RecordSlice, facts: formats.Facts, form: str) -> bytes:
+    arrow = formats.pyarrow()
     n_samples = records.time_s.size
     volts = arrow.field("voltage_v", arrow.list_(arrow.float64(), n_samples), metadata={"unit": "V"})
     schema = arrow.schema(
-        [*(arrow_field(arrow, column) for column in OF_RECORD), volts],
-        metadata={"solimon": facts_text(facts)},
+        [*(formats.arrow_field(arrow, column) for column in OF_RECORD), volts],
+        metadata={"solimon": formats.facts_text(facts)},
     )
     arrays = [
-        *(arrow_array(arrow, schema.field(c.name).type, records.columns[c.name]) for c in OF_RECORD),
+        *(formats.arrow_array(arrow, schema.field(c.name).type, records.columns[c.name]) for c in OF_RECORD),
         arrow.FixedSizeListArray.from_arrays(arrow.array(records.voltage_v.ravel()), n_samples),
     ]
-    return b"".join(written_arrow(arrow, form, schema, [arrays]))
+    return b"".join(formats.written_arrow(arrow, form, schema, [arrays]))

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from scipy import optimize
+import scipy  # `scipy.optimize` comes when asked for
 
 from simulator.errors import SpecimenError
 from simulator.numerics.arrays import FloatArray, IntArray
@@ -65,7 +65,7 @@ def _continued_growth(last_m: float, elements: int, length_m: float) -> float:
 
 def _solve_growth(excess: Callable[[float], float], largest: float) -> float:
     # Rounding must not leave the root of a single element outside.
-    return float(optimize.brentq(excess, 0.0, largest * (1.0 + 1e-9), xtol=1e-15, rtol=1e-14))
+    return float(scipy.optimize.brentq(excess, 0.0, largest * (1.0 + 1e-9), xtol=1e-15, rtol=1e-14))
 
 
 def _lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:
@@ -141,7 +141,7 @@ def _sharing_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
         return smallest
     while excess(largest) > 0.0:
         largest *= 2.0
-    return float(optimize.brentq(excess, smallest, largest, rtol=1e-12))
+    return float(scipy.optimize.brentq(excess, smallest, largest, rtol=1e-12))
 
 
 def _distribute(wanted: FloatArray, total: int) -> IntArray:

@@ -20,7 +20,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from scipy.sparse.linalg import LinearOperator
+import scipy  # `scipy.sparse.linalg` comes when asked for
 
 from simulator.errors import SpecimenError
 from simulator.numerics.arrays import FloatArray, IntArray
@@ -65,7 +65,7 @@ def layer_mass(
     *,
     symmetric: tuple[bool, bool],
     terms: tuple[int, int] | None = None,
-) -> LinearOperator:
+) -> scipy.sparse.linalg.LinearOperator:
     """Return the liquid's mass for the free unknowns of a mesh of the plate or its part.
 
     Parameters
@@ -117,7 +117,9 @@ def layer_mass(
             product[deflected, column] = pressure.ravel()[nodes]
         return product.reshape(values.shape)
 
-    return LinearOperator((len(free), len(free)), matvec=times, matmat=times, dtype=np.float64)
+    return scipy.sparse.linalg.LinearOperator(
+        (len(free), len(free)), matvec=times, matmat=times, dtype=np.float64
+    )
 
 
 def sine_integrals(lines_m: FloatArray, start_m: float, edge_m: float, orders: FloatArray) -> FloatArray:

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse.linalg import LinearOperator
 
 from simulator.numerics.arrays import FloatArray, IntArray
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
@@ -75,7 +74,7 @@ class AffinePlate:
     x_m: FloatArray
     y_m: FloatArray
     free: IntArray
-    added_mass: LinearOperator | None = None
+    added_mass: sparse.linalg.LinearOperator | None = None
 
     def at_depth(self, depth_fraction: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
         """Return stiffness and mass, without that of a liquid, with the patch thinned by `depth_fraction`."""

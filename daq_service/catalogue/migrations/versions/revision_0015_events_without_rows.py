@@ -1,11 +1,35 @@
-"""Events that report a row of a set have no payload; those of earlier versions keep theirs.
+"""Events that report a row of a set have no payload; words for rejected commands and lost connections.
 
-No column changes: the number keeps earlier versions from a catalogue whose events they cannot read.
+Events of earlier versions keep their payload, with the current words.
 """
+
+from __future__ import annotations
+
+from alembic import op
 
 revision = "0015"
 down_revision = "0014"
 
+NO_COMMUNICATION = ("lost", "no_communication")
+_QUALITIES = ("supply_quality", "climate_quality")
+
 
 def upgrade() -> None:
-    """Change nothing."""
+    """Replace two words in columns, evidence and payloads."""
+    _replace_column("commands", "state", "refused", "rejected")
+    for name in _QUALITIES:
+        _replace_column("environment", name, *NO_COMMUNICATION)
+        _replace_key("alarms", "evidence", name, *NO_COMMUNICATION)
+        for key in (name, f"evidence.{name}"):
+            _replace_key("events", "payload", key, *NO_COMMUNICATION)
+
+
+def _replace_column(table: str, name: str, old: str, new: str) -> None:
+    op.execute(f"UPDATE {table} SET {name} = '{new}', row_crc32 = NULL WHERE {name} = '{old}'")
+
+
+def _replace_key(table: str, name: str, key: str, old: str, new: str) -> None:
+    op.execute(
+        f"UPDATE {table} SET {name} = json_set({name}, '$.{key}', '{new}'), row_crc32 = NULL "
+        f"WHERE json_extract({name}, '$.{key}') = '{old}'"
+    )

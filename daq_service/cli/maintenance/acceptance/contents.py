@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from importlib.metadata import version
-from typing import Any
 
 from daq_service.cli.maintenance.acceptance import conduct, faults, sets
 from daq_service.cli.maintenance.acceptance.criteria import Comparison, compared, outcome
@@ -106,7 +105,7 @@ def _identity(evidence: Evidence) -> dict[str, str]:
     }
 
 
-def _listed(values: Mapping[str, Any]) -> str:
+def _listed(values: Mapping[str, object]) -> str:
     """Join names and values."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
@@ -141,21 +140,16 @@ def as_json(report: AcceptanceReport) -> dict[str, object]:
         "made_by": report.made_by,
         "outcome": report.outcome,
         "criteria": [
-            {
-                "quantity": item.criterion.quantity,
-                "sense": item.criterion.sense,
-                "limit": item.criterion.limit,
-                "unit": item.quantity.unit,
-                "value": item.quantity.value,
-                "low": item.quantity.low,
-                "high": item.quantity.high,
-                "state": item.state,
-                "why": item.why,
-            }
+            asdict(item.criterion)
+            | {name: getattr(item.quantity, name) for name in ("unit", "value", "low", "high")}
+            | {"state": item.state, "why": item.why}
             for item in report.comparisons
         ],
         "identity": dict(report.identity),
-        "quantities": {item.name: _as_object(item) for item in report.quantities},
+        "quantities": {
+            item.name: {key: value for key, value in asdict(item).items() if key != "name"}
+            for item in report.quantities
+        },
         "tables": {
             table.name: [dict(zip(table.text.columns, row, strict=True)) for row in table.rows]
             for table in report.tables
@@ -172,10 +166,3 @@ def as_json(report: AcceptanceReport) -> dict[str, object]:
         },
         "notes": list(report.notes),
     }
-
-
-def _as_object(item: Quantity) -> dict[str, object]:
-    """Return a quantity without its name."""
-    fields = asdict(item)
-    del fields["name"]
-    return fields

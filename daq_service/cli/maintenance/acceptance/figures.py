@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+import matplotlib as mpl
 from matplotlib.figure import Figure
 
-from daq_service.cli.maintenance.acceptance.page import SCALES
+from daq_service.cli.maintenance.acceptance.page import scale_of
 from daq_service.cli.maintenance.acceptance.quantity import Series
-from daq_service.cli.reproduce.style import BLUE, GREY, ORANGE, VERMILLION, house_style, rendered
+from daq_service.cli.reproduce.style import BLUE, GREY, ORANGE, RULES, VERMILLION, rendered
 
 SIZE_IN = (4.7, 1.9)
 """Two of them side by side fill a sheet of paper."""
@@ -19,8 +20,8 @@ DASHED = ("forecast", "planned")
 
 def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
     """Return a series with values as PNG; ``gaps`` are shaded ranges of hours."""
-    scale, unit = _scale(series)
-    with house_style():
+    scale, unit = scale_of(series.text.unit, max(map(abs, series.values), default=0.0))
+    with mpl.rc_context(RULES):
         figure = Figure(figsize=SIZE_IN, layout="constrained")
         axes = figure.subplots()
         for from_h, until_h in gaps:
@@ -47,11 +48,3 @@ def picture(series: Series, gaps: Iterable[tuple[float, float]] = ()) -> bytes:
         if series.text.unit == "1":
             axes.set_ylim(bottom=0.0)
         return rendered(figure, ["png"])["png"]
-
-
-def _scale(series: Series) -> tuple[float, str]:
-    """Return scale and unit for a series."""
-    if series.text.unit != "B":
-        return 1.0, series.text.unit
-    maximum = max(abs(value) for value in series.values)
-    return next(((scale, name) for scale, name in SCALES if maximum >= scale), (1.0, "B"))

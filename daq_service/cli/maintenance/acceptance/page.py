@@ -13,6 +13,14 @@ from daq_service.web.templates import NOT_KNOWN, render
 SCALES = ((1e9, "GB"), (1e6, "MB"), (1e3, "kB"))
 
 
+def scale_of(unit: str, value: float) -> tuple[float, str]:
+    """Return the factor and the name of the unit that a value is shown in: bytes in the largest that fits."""
+    if not unit.startswith("B"):
+        return 1.0, unit
+    scale, name = next(((scale, name) for scale, name in SCALES if abs(value) >= scale), (1.0, "B"))
+    return scale, f"{name}{unit[1:]}"
+
+
 def page(report: AcceptanceReport, pictures: Mapping[str, bytes]) -> bytes:
     """Return the HTML of the report.
 
@@ -50,10 +58,7 @@ def shown(unit: str, *values: float | int | None) -> str:
     value, *ends = values
     if value is None:
         return NOT_KNOWN
-    scale, scaled = 1.0, unit
-    if unit.startswith("B"):
-        scale, name = next(((s, name) for s, name in SCALES if abs(value) >= s), (1.0, "B"))
-        scaled = f"{name}{unit[1:]}"
+    scale, scaled = scale_of(unit, value)
     numbers = [
         f"{item:,}" if isinstance(item, int) and scale == 1.0 else f"{item / scale:.4g}"
         for item in values

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
-from typing import Any
 
 from daq_service.alarms.evidence import evidence_sentences
 from daq_service.alarms.guidance import GUIDANCE
@@ -66,7 +65,7 @@ def page_of(found: Explained, pictures: Sequence[Picture]) -> bytes:
     )
 
 
-def facts_of(found: Explained) -> dict[str, Any]:
+def facts_of(found: Explained) -> dict[str, object]:
     """Return all contents of the page, and the rows behind it, as plain values."""
     recomputed, guidance = found.again, GUIDANCE.get(found.alarm.kind)
     return {
@@ -85,7 +84,7 @@ def facts_of(found: Explained) -> dict[str, Any]:
     }
 
 
-def _facts_of(recomputed: Recomputed) -> dict[str, Any]:
+def _facts_of(recomputed: Recomputed) -> dict[str, object]:
     """Return the recomputed values."""
     pulses = recomputed.pulses
     return {

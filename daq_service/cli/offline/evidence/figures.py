@@ -36,7 +36,6 @@ LOG_FROM = 100.0
 class Picture:
     """An SVG element and its description."""
 
-    name: str
     description: str
     svg: str
 
@@ -69,17 +68,24 @@ def _waves(found: Explained, pulses: Pulses) -> Picture:
         f"The mean record of set {found.alarm.raised_set_index} over the mean of the baseline, laid on each "
         "other at the peak of the incident wave; the reflected wave comes later."
     )
-    return Picture(name="waves", description=description, svg=svg)
+    return Picture(description=description, svg=svg)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class _Panel:
-    """A quantity of the sets by hour, and limits by their words."""
+    """A quantity of the sets by hour, and limits by their words, without missing values."""
 
-    label: str
-    hours: Sequence[float]
-    values: Sequence[float]
-    limits: Mapping[str, float]
+    def __init__(
+        self,
+        label: str,
+        points: Iterable[tuple[float, float | None]],
+        limits: Mapping[str, float | None],
+        factor: float = 1.0,
+    ) -> None:
+        present = [(hour, factor * value) for hour, value in points if value is not None]
+        self.label = label
+        self.hours = [hour for hour, _ in present]
+        self.values = [value for _, value in present]
+        self.limits = {name: factor * limit for name, limit in limits.items() if limit is not None}
 
 
 def _over_sets(found: Explained, recomputed: Recomputed) -> Picture | None:
@@ -103,7 +109,7 @@ def _over_sets(found: Explained, recomputed: Recomputed) -> Picture | None:
     labels = " and ".join(panel.label for panel in panels)
     shaded = "" if baseline_ends_h is None else "the baseline is shaded, "
     description = f"{labels} of each set up to the alarm; {shaded}the dashed line is the alarm's set."
-    return Picture(name="sets", description=description[0].upper() + description[1:], svg=svg)
+    return Picture(description=description[0].upper() + description[1:], svg=svg)
 
 
 def _draw(axis: Axes, panel: _Panel) -> None:
@@ -129,13 +135,13 @@ def _panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
     evidence, rule = found.alarm.evidence, found.alarm.evidence.get("rule") or {}
     if found.alarm.kind == "thickness_low":
         read = [(row.due_h, getattr(row, "thickness_m", None)) for row in recomputed.measured]
-        yield _panel("wall (mm)", read, {"limit": evidence.get("limit_m")}, 1e3)
+        yield _Panel("wall (mm)", read, {"limit": evidence.get("limit_m")}, 1e3)
     elif found.alarm.kind == "no_reflection":
         counted = [(row.due_h, float(recomputed.silent.get(row.set_index, 0))) for row in recomputed.sets]
-        yield _panel("shots without reflected wave", counted, {"alarm from here": rule.get("shots")})
+        yield _Panel("shots without reflected wave", counted, {"alarm from here": rule.get("shots")})
     elif "minimum_valid_shots" in evidence:
         counted = [(row.due_h, float(row.n_valid)) for row in recomputed.sets if row.n_planned]
-        yield _panel("valid shots", counted, {"needed": evidence["minimum_valid_shots"]})
+        yield _Panel("valid shots", counted, {"needed": evidence["minimum_valid_shots"]})
     elif recomputed.baseline is not None:
         limits = limits_by_name(recomputed.baseline)
         limit_names = (str(evidence.get("limit_name")), found.settings.novelty.limit, CHART)
@@ -145,23 +151,7 @@ def _panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
             a_name = next(iter(of_it))
             values = [(row.due_h, statistic_of(row, a_name)) for row in recomputed.assessments]
             label = "squared distance" if statistic == DISTANCE else statistic.replace("_", " ")
-            yield _panel(label, values, {f"limit {name}": limit for name, limit in of_it.items()})
-
-
-def _panel(
-    label: str,
-    points: Iterable[tuple[float, float | None]],
-    limits: Mapping[str, float | None],
-    factor: float = 1.0,
-) -> _Panel:
-    """Return a panel without missing values."""
-    present = [(hour, factor * value) for hour, value in points if value is not None]
-    return _Panel(
-        label=label,
-        hours=[hour for hour, _ in present],
-        values=[value for _, value in present],
-        limits={label: factor * limit for label, limit in limits.items() if limit is not None},
-    )
+            yield _Panel(label, values, {f"limit {name}": limit for name, limit in of_it.items()})
 
 
 def _contributions(parts: Mapping[str, float | None]) -> Picture | None:
@@ -178,7 +168,7 @@ def _contributions(parts: Mapping[str, float | None]) -> Picture | None:
         axis.set_xlabel("share (%)")
         svg = svg_of(figure, "contributions")
     description = "What each feature contributes to what was compared with the limit."
-    return Picture(name="contributions", description=description, svg=svg)
+    return Picture(description=description, svg=svg)
 
 
 def _figure(panels: float) -> tuple[Figure, Axes]:

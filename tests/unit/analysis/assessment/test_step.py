@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from analysis.assessment.baseline_quality import ALIKE, assess_baseline
-from analysis.assessment.step import Rules, SetOfShots, State, reinstated, step
+from analysis.assessment.step import Rules, SetOfShots, State, enabled, step
 from analysis.statistics.limits import f_predictive_limit, paper_limit
 from analysis.statistics.named_limits import LIMITS, NamedLimit
 from analysis.statistics.rules import AlarmRule, HoleRule
@@ -162,7 +162,7 @@ def test_a_command_resets_only_the_reason_of_the_disabled_transducer():
     )[0]
     assert state.hole.hole
     assert state.poor_sets == 3
-    again = reinstated(state)
+    again = enabled(state)
     assert (again.hole.hole, again.hole.sets_running, again.poor_sets) == (False, 0, 0)
     assert (again.baseline, again.alarm) == (state.baseline, state.alarm)
 

@@ -70,7 +70,7 @@ CHART: dict[str, Any] = {
 }
 
 
-def test_the_evidence_of_a_chart_has_the_duration_and_the_design_rate() -> None:
+def test_the_evidence_of_a_chart_has_the_duration_and_the_design_rate():
     assert describe_evidence("wall_change", CHART) == [
         (
             "With set 60 the chart stands at 118, 2 times its limit of 59; it averages over sets, so the "
@@ -116,11 +116,11 @@ MOST_LISTED: dict[str, str] = {
 
 
 @pytest.mark.parametrize("kind", MOST_LISTED)
-def test_each_kind_states_its_evidence(kind: str) -> None:
+def test_each_kind_states_its_evidence(kind):
     assert " ".join(describe_evidence(kind, PROOFS.get(kind, {}))) == " ".join(MOST_LISTED[kind].split())
 
 
-def alarm(kind: str, set_index: int | None = 49) -> AlarmRow:
+def alarm(kind, set_index=49):
     return AlarmRow(
         position=None,
         kind=kind,
@@ -136,7 +136,7 @@ def alarm(kind: str, set_index: int | None = 49) -> AlarmRow:
     )
 
 
-def test_the_last_sentence_has_time_and_version_and_the_baseline_its_name() -> None:
+def test_the_last_sentence_has_time_and_version_and_the_baseline_its_name():
     when = "Raised with set 49 at hour 24.50 of the test; computed by extractor 3."
     assert evidence_sentences(alarm("wall_change"))[-1] == when
     of_c, of_d = frozen_baseline("C"), frozen_baseline("D")
@@ -146,7 +146,7 @@ def test_the_last_sentence_has_time_and_version_and_the_baseline_its_name() -> N
     assert evidence_sentences(alarm("disk_space", None)) == ["Raised at hour 24.50 of the test."]
 
 
-def test_the_evidence_names_a_questionable_baseline_and_its_anomalies() -> None:
+def test_the_evidence_names_a_questionable_baseline_and_its_anomalies():
     named = [{"kind": "group", "set_indices": [3, 4]}, {"kind": "trend", "set_indices": [0, 1, 2, 3, 4]}]
     doubtful = frozen_baseline("C", baseline_quality={"named": named})
     assert evidence_sentences(alarm("wall_change"), {2: doubtful})[-2] == (
@@ -156,14 +156,14 @@ def test_the_evidence_names_a_questionable_baseline_and_its_anomalies() -> None:
 
 
 @pytest.mark.parametrize(("cause", "counts"), [("wall", True), ("coupling", False)])
-def test_a_wall_diagnosis_against_its_confirmation_set_mentions_that_set(cause: str, counts: bool) -> None:
+def test_a_wall_diagnosis_against_its_confirmation_set_mentions_that_set(cause, counts):
     confirmation = {"utc_ns": 0, "due_h": 25.5, "confirms": False, "reason": None}
     last = describe_evidence("wall_change", {"diagnosis": cause, "confirmation": confirmation})[-1]
     assert ("counts that set" in last) is counts
 
 
 @given(st.sampled_from(sorted(GUIDANCE)), st.data())
-def test_evidence_without_a_value_has_no_sentence_about_it(kind: str, data: st.DataObject) -> None:
+def test_evidence_without_a_value_has_no_sentence_about_it(kind, data):
     complete = PROOFS.get(kind, PROOFS["supply_current_limit"])
     kept = data.draw(st.sets(st.sampled_from(sorted(complete))))
     sentences = describe_evidence(kind, {name: complete[name] for name in kept})
@@ -175,5 +175,5 @@ def test_evidence_without_a_value_has_no_sentence_about_it(kind: str, data: st.D
     assert "None" not in "".join(sentences)
 
 
-def test_the_features_of_the_distance_have_names() -> None:
+def test_the_features_of_the_distance_have_names():
     assert tuple(FEATURES) == FEATURE_NAMES

@@ -16,11 +16,11 @@ HOW_TO = ROOT / "docs" / "how-to" / "my-alarm-what-now.md"
 RAISED_IN = ("alarms", "judgement", "orders")
 
 
-def test_the_how_to_shows_the_table() -> None:
+def test_the_how_to_shows_the_table():
     assert as_markdown() in HOW_TO.read_text(encoding="utf-8"), as_markdown()
 
 
-def test_every_raised_kind_has_guidance() -> None:
+def test_every_raised_kind_has_guidance():
     kinds = {CLOCK_UNVERIFIED, NOT_ASSESSED, RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING}
     for room in RAISED_IN:
         for file in (ROOT / "daq_service" / room).glob("*.py"):
@@ -34,7 +34,7 @@ def test_every_raised_kind_has_guidance() -> None:
 
 
 @pytest.mark.parametrize("kind", GUIDANCE)
-def test_each_guidance_has_checks_and_a_contact(kind: str) -> None:
+def test_each_guidance_has_checks_and_a_contact(kind):
     one = GUIDANCE[kind]
     assert all([one.meaning, one.limitations, one.contact])
     assert one.short.endswith(".")

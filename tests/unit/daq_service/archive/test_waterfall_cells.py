@@ -9,17 +9,15 @@ from support.archived_sets import CURVED, make_shot
 from support.synthetic_records import Scene
 
 from daq_service.archive.waterfall.cells import (
-    Frame,
     anchors_of,
     coarsen,
     frame_of,
     merge_planes,
     planes_of_records,
 )
-from hardware_drivers.measurement import Waveform
 
 
-def by_definition(waveform: Waveform, anchor_s: float, frame: Frame) -> np.ndarray:
+def by_definition(waveform, anchor_s, frame):
     """Put each sample into the cell of its time after the anchor."""
     planes = np.full((2, frame.n_cells), np.nan, dtype=np.float32)
     for sample, volts in enumerate(waveform.volts().astype(np.float32)):

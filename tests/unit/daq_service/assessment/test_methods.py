@@ -11,19 +11,19 @@ from hardware_drivers.measurement import PulseEchoRecord, Shot
 from hardware_drivers.methods import Method
 
 
-def test_each_method_has_an_entry_and_each_record_its_method() -> None:
+def test_each_method_has_an_entry_and_each_record_its_method():
     assert set(METHODS) == set(get_args(Method)) == {Shot.method, PulseEchoRecord.method}
 
 
 @pytest.mark.parametrize("name", METHODS)
-def test_every_row_has_the_fields_that_views_use(name: Method) -> None:
+def test_every_row_has_the_fields_that_views_use(name):
     columns = [column.name for column in columns_of(METHODS[name].row)]
     assert {"set_index", "position", "sequence", "due_h", "quality", "extractor_version"} <= set(columns)
     assert METHODS[name].values
     assert set(METHODS[name].values) <= set(columns)
 
 
-def test_a_set_has_one_echo_and_the_configured_number_of_strikes() -> None:
+def test_a_set_has_one_echo_and_the_configured_number_of_strikes():
     schedule = ScheduleSettings(shots_per_set=7)
     assert {name: method.records_planned(schedule) for name, method in METHODS.items()} == {
         "solitary_wave": 7,

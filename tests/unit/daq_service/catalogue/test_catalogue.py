@@ -596,10 +596,10 @@ def test_a_command_and_its_result_are_exchanged_with_the_recorder(writer, reader
         "operator",
         {"alarm_id": 3, "note": "seen"},
     )
-    writer.finish_command(command_id, "refused", "alarm 3 is normal")
+    writer.finish_command(command_id, "rejected", "alarm 3 is normal")
     assert writer.open_commands() == []
     answered = reader.command(command_id)
-    assert (answered.state, answered.result) == ("refused", "alarm 3 is normal")
+    assert (answered.state, answered.result) == ("rejected", "alarm 3 is normal")
     assert answered.finished_wall_utc_ns >= answered.wall_utc_ns
     assert reader.command(99) is None
 

@@ -224,6 +224,7 @@ PROOF = {
     "rate_guaranteed": False,
     "why_not_guaranteed": "48 sets",
     "poor_sets_running": 2,
+    "supply_quality": "lost",
     "confirmation": CONFIRMATION,
 }
 EVIDENCE = {
@@ -236,6 +237,7 @@ EVIDENCE = {
     "rate_verified": False,
     "rate_not_verified_reason": "48 sets",
     "consecutive_poor_sets": 2,
+    "supply_quality": "no_communication",
     "confirmation": {"set_index": 10_000_003, "confirms": None, "reason": "a feature is missing"},
 }
 ALARM_0013 = {
@@ -320,6 +322,7 @@ EVENTS_0013 = [
     ("alarms", "alarm_returned", ALARM_0013),
     ("service", "hold", {"held": "by ann", "author": "ann"}),
     ("service", "confirmation_asked", {"confirmation_set_index": 10_000_003, "because": "x"}),
+    ("environment", "environment", {"set_index": 3, "supply_quality": "lost", "climate_quality": "good"}),
 ]
 
 
@@ -344,7 +347,7 @@ def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_pa
             insert(database, "events", id=number, utc_ns=1, wall_utc_ns=2, topic=topic, kind=kind,
                    payload=payload)  # fmt: skip
         insert(database, "commands", id=1, wall_utc_ns=1, author="ann", kind="retire", arguments={},
-               state="done")  # fmt: skip
+               state="refused")  # fmt: skip
     open_catalogue(tmp_path, writer=True).close()
     with open_catalogue(tmp_path) as catalogue:  # which compares every row with its checksum
         (alarm,) = catalogue.rows(AlarmRow)
@@ -360,11 +363,12 @@ def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_pa
         (its_set,) = catalogue.rows(SetRow)
         assert its_set.state == "disabled"
         (command,) = catalogue.rows(CommandRow)
-        assert command.kind == "disable"
+        assert (command.kind, command.state) == ("disable", "rejected")
         events = catalogue.rows(EventRow)
         assert [(event.topic, event.kind) for event in events] == [
             *(("sets", "set_disabled"), ("assessments", "set_assessed"), ("assessments", "baseline_retired")),
             *(("alarms", "alarm_reactivated"), ("service", "pause"), ("service", "confirmation_asked")),
+            ("environment", "environment"),
         ]
         assert events[0].payload["state"] == "disabled"
         assert events[1].payload["diagnosis"] == "undetermined"
@@ -372,6 +376,7 @@ def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_pa
         assert events[2].payload["state"] == "retired"
         assert events[3].payload == ALARM
         assert events[5].payload["reason"] == "x"
+        assert events[6].payload["supply_quality"] == "no_communication"
         assert catalogue.experiment_row().uuid == derived_uuid("ab", 7)
         # A line of the history is the same row, and a current row stays as it is.
         for event, (topic, kind, payload) in zip(events, EVENTS_0013, strict=True):

@@ -248,33 +248,24 @@ def test_a_table_is_written_in_each_format_of_its_names(running, tmp_path):
     assert sorted(tmp_path.iterdir()) == sorted(tmp_path / f"b.{ending}" for ending in endings)
 
 
-def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp_path):
-    endings = ("csv", "parquet", "arrow", "npz", "mat", "h5")
-    outputs = [word for ending in endings for word in ("--out", tmp_path / f"b.{ending}")]
+def test_records_of_a_range_are_written_in_the_formats_of_their_names(running, tmp_path):
+    outputs = [word for ending in ("npz", "h5") for word in ("--out", tmp_path / f"b.{ending}")]
     asked = ("--waveforms", "B", "--first-set", 0, "--last-set", 1)
     code, answer = solimon("export", "--data-dir", running, *asked, *outputs)
     assert (code, answer["ok"]) == (0, True)
-    assert [file["table"] for file in answer["files"]] == ["waveforms"] * len(endings)
+    assert [file["table"] for file in answer["files"]] == ["waveforms"] * 2
     stored = [read_set(path) for path in list(set_files(running).values())[:2]]
     expected = [shot.waveform.volts() for taken in stored for shot in taken.shots if shot.key.position == "B"]
-    read = {
-        "csv": pd.read_csv(tmp_path / "b.csv").to_numpy()[:, 1:].T,
-        "parquet": np.stack(pd.read_parquet(tmp_path / "b.parquet")["voltage_v"]),
-        "arrow": np.stack(pyarrow.ipc.open_stream(tmp_path / "b.arrow").read_pandas()["voltage_v"]),
-        "npz": np.load(tmp_path / "b.npz")["voltage_v"],
-        "mat": loadmat(tmp_path / "b.mat", squeeze_me=True)["waveforms"]["voltage_v"].item(),
-    }
+    np.testing.assert_array_equal(np.load(tmp_path / "b.npz")["voltage_v"], expected)
     with h5py.File(tmp_path / "b.h5") as file:
-        read["h5"] = file["entry/waveforms/voltage_v"][()]
-    for ending, values in read.items():
-        np.testing.assert_array_equal(values, expected, err_msg=ending)
+        np.testing.assert_array_equal(file["entry/waveforms/voltage_v"][()], expected)
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((), "say --hdf5 FILE, or --table NAME with --out FILE"),
-        (("--table", "sets"), "wants --out"),
+        ((), "give --hdf5 FILE, or --table NAME with --out FILE"),
+        (("--table", "sets"), "needs --out"),
         (("--table", "sets", "--out", "a.xlsx"), "choose from csv, parquet"),
         (("--table", "shots", "--out", "a.csv"), "choose from sets, features"),
         (("--table", "sets", "--position", "X", "--out", "a.csv"), "choose from A, B, C, D"),
@@ -283,7 +274,7 @@ def test_records_of_a_range_are_written_in_each_format_of_its_names(running, tmp
         (("--hdf5", "a.h5", "--out", "a.csv"), "--out does not belong to --hdf5"),
         (("--table", "sets", "--last-set", 1, "--out", "a.csv"), "--last-set does not belong to --table"),
         (("--table", "sets", "--waveforms", "B", "--out", "a.csv"), "or --waveforms POSITION with --out"),
-        (("--waveforms", "B"), "--waveforms wants --out"),
+        (("--waveforms", "B"), "--waveforms needs --out"),
         (("--waveforms", "B", "--fields", "x", "--out", "a.h5"), "--fields does not belong to --waveforms"),
         (("--waveforms", "X", "--out", "a.h5"), "choose from A, B, C, D"),
         (("--waveforms", "B", "--from-h", 900, "--out", "a.h5"), "no record of position B"),

@@ -2,11 +2,9 @@
 
 import json
 import tomllib
-from pathlib import Path
-from typing import Any
 
 import pytest
-from click.testing import CliRunner, Result
+from click.testing import CliRunner
 from support.small_experiment import rows_of, run, small_settings
 
 from daq_service.cli.main import cli
@@ -23,23 +21,23 @@ LAB = [
 ]
 
 
-def init(*arguments: str | Path) -> Result:
+def init(*arguments):
     return CliRunner().invoke(cli, ["init", *map(str, arguments)])
 
 
-def write_configuration(*arguments: str | Path) -> dict[str, Any]:
+def write_configuration(*arguments):
     result = init(*arguments, "--json")
     assert result.exception is None, result.exception
     return json.loads(result.stdout)
 
 
-def refusal(*arguments: str | Path) -> str:
+def refusal(*arguments):
     error = init(*arguments).exception
     assert isinstance(error, UsageError), error
     return str(error)
 
 
-def test_the_twin_s_is_the_paper_s_experiment(tmp_path: Path) -> None:
+def test_the_twin_s_is_the_paper_s_experiment(tmp_path):
     file = tmp_path / "twin.toml"
     answer = write_configuration("twin", file)
     assert answer == {
@@ -55,7 +53,7 @@ def test_the_twin_s_is_the_paper_s_experiment(tmp_path: Path) -> None:
     assert (tmp_path / "settings.schema.json").read_bytes() == shipped
 
 
-def test_the_rig_s_is_the_shipped_laboratory_toml(tmp_path: Path) -> None:
+def test_the_rig_s_is_the_shipped_laboratory_toml(tmp_path):
     answer = write_configuration("rig", tmp_path / "lab.toml")
     shipped = config_file("laboratory.toml")
     assert (tmp_path / "lab.toml").read_bytes() == shipped.read_bytes(), (
@@ -66,7 +64,7 @@ def test_the_rig_s_is_the_shipped_laboratory_toml(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("command", ["check-config", "run", "record", "doctor", "serve", "status"])
-def test_no_command_accepts_a_rig_with_placeholders(command: str, tmp_path: Path) -> None:
+def test_no_command_accepts_a_rig_with_placeholders(command, tmp_path):
     write_configuration("rig", tmp_path / "lab.toml")
     data = tmp_path / "data"
     error = CliRunner().invoke(cli, [command, str(tmp_path / "lab.toml"), "--data-dir", str(data)]).exception
@@ -76,7 +74,7 @@ def test_no_command_accepts_a_rig_with_placeholders(command: str, tmp_path: Path
     assert not data.exists(), "nothing is made for it"
 
 
-def test_flags_fill_a_rig_in(tmp_path: Path) -> None:
+def test_flags_fill_a_rig_in(tmp_path):
     answer = write_configuration("rig", tmp_path / "lab.toml", *LAB, "--set", "schedule.shots_per_set=12")
     assert answer["placeholders"] == []
     settings = load_settings(tmp_path / "lab.toml")
@@ -84,7 +82,7 @@ def test_flags_fill_a_rig_in(tmp_path: Path) -> None:
     assert settings.schedule.shots_per_set == 12
 
 
-def test_tables_are_switched_on_and_off(tmp_path: Path) -> None:
+def test_tables_are_switched_on_and_off(tmp_path):
     file = tmp_path / "lab.toml"
     without = ["--without", "rig.niscope", "--without", "positions.A", "--without", "rig.supply"]
     answer = write_configuration("rig", file, *without, "--with", "rig.climate", *LAB[:2])
@@ -94,7 +92,7 @@ def test_tables_are_switched_on_and_off(tmp_path: Path) -> None:
     assert '\n#[rig.supply.line]\n#port = "PLACEHOLDER" ' in file.read_text(encoding="utf-8")
 
 
-def test_a_recording_of_solimon_is_played_back_as_it_was_recorded(tmp_path: Path) -> None:
+def test_a_recording_of_solimon_is_played_back_as_it_was_recorded(tmp_path):
     recording = tmp_path / "recording"
     assert run(small_settings(schedule={"end_h": 0.5}, clock={"epoch": "2025-03-01T00:00:00Z"}), recording)
     file = tmp_path / "playback.toml"
@@ -104,7 +102,7 @@ def test_a_recording_of_solimon_is_played_back_as_it_was_recorded(tmp_path: Path
     assert rows_of(tmp_path / "played")["set_features"] == rows_of(recording)["set_features"] != []
 
 
-def test_a_recording_of_labview_has_its_names_written_down(tmp_path: Path) -> None:
+def test_a_recording_of_labview_has_its_names_written_down(tmp_path):
     (tmp_path / "labview").mkdir()
     write_configuration("playback", tmp_path / "playback.toml", "--source", tmp_path / "labview")
     playback = load_settings(tmp_path / "playback.toml").rig.playback
@@ -113,7 +111,7 @@ def test_a_recording_of_labview_has_its_names_written_down(tmp_path: Path) -> No
     assert "file_pattern = " in (tmp_path / "playback.toml").read_text(encoding="utf-8")
 
 
-def test_no_file_is_overwritten(tmp_path: Path) -> None:
+def test_no_file_is_overwritten(tmp_path):
     file, schema = tmp_path / "twin.toml", tmp_path / "settings.schema.json"
     file.write_text("mine")
     assert "is not written over" in refusal("twin", file)
@@ -124,7 +122,7 @@ def test_no_file_is_overwritten(tmp_path: Path) -> None:
     assert not (tmp_path / "other.toml").exists()
 
 
-def test_only_a_toml_file_is_written(tmp_path: Path) -> None:
+def test_only_a_toml_file_is_written(tmp_path):
     assert "let its name end in .toml" in refusal("twin", tmp_path / "new.json")
     assert list(tmp_path.iterdir()) == []
 
@@ -141,9 +139,7 @@ def test_only_a_toml_file_is_written(tmp_path: Path) -> None:
         (["rig", "--with", "rig.climat"], "did you mean rig.climate?"),
     ],
 )
-def test_an_impossible_request_is_rejected_before_the_file_is_written(
-    arguments: list[str], message: str, tmp_path: Path
-) -> None:
+def test_an_impossible_request_is_rejected_before_the_file_is_written(arguments, message, tmp_path):
     kind, *options = arguments
     assert message in refusal(kind, tmp_path / "new.toml", *options)
     assert list(tmp_path.iterdir()) == []

@@ -1,7 +1,5 @@
 """Output of `check-config` for a planned test."""
 
-from pathlib import Path
-
 import pytest
 
 from daq_service.cli.inspection import print_configuration
@@ -24,9 +22,7 @@ NEEDS = "it needs at least 15, 200 and more are advised"
         ),
     ],
 )
-def test_a_baseline_without_possible_assessments_causes_a_warning(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, n_sets: int, warning: str
-) -> None:
+def test_a_baseline_without_possible_assessments_causes_a_warning(tmp_path, capsys, text, n_sets, warning):
     (tmp_path / "test.toml").write_text(text, encoding="utf-8")
     print_configuration(
         config=tmp_path / "test.toml", data_dir=tmp_path / "data", schema=False, as_json=False

@@ -7,7 +7,6 @@ import subprocess
 import sys
 from importlib import import_module
 from inspect import Parameter, signature
-from pathlib import Path
 from typing import Any
 
 import click
@@ -79,7 +78,7 @@ def test_a_write_error_ends_a_manual_start_and_retries_a_supervised_one(
         "supply --off",
     ],
 )
-def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, command_line: str) -> None:
+def test_a_mistyped_folder_is_refused_and_not_made(tmp_path, command_line):
     folder = tmp_path / "solimno-data"
     done = solimon_here(*command_line.split(), "--data-dir", str(folder), env={})
     assert (done.returncode, done.stdout) == (2, "")
@@ -96,12 +95,10 @@ def test_a_mistyped_folder_is_refused_and_not_made(tmp_path: Path, command_line:
         ("renew-baseline --position B", "Why is the baseline retired"),
     ],
 )
-def test_at_a_terminal_a_command_asks_for_its_reason(
-    monkeypatch: pytest.MonkeyPatch, command_line: str, asked: str
-) -> None:
+def test_at_a_terminal_a_command_asks_for_its_reason(monkeypatch, command_line, asked):
     given: list[str] = []
 
-    def send_command(kind: str, *, note: str, **options: object) -> int:
+    def send_command(kind, *, note, **options):
         given.append(note)
         return 0
 
@@ -114,25 +111,25 @@ def test_at_a_terminal_a_command_asks_for_its_reason(
     assert given == (["hands in the rig"] if asked else ["door"] if "door" in command_line else [""])
 
 
-def test_a_renewal_without_a_reason_is_rejected_with_the_missing_option(tmp_path: Path) -> None:
+def test_a_renewal_without_a_reason_is_rejected_with_the_missing_option(tmp_path):
     done = solimon_here("renew-baseline", "--position", "B", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 2
     assert "--reason 'sensor coupled again'" in done.stderr
 
 
-def test_a_switch_of_the_supply_names_its_direction(tmp_path: Path) -> None:
+def test_a_switch_of_the_supply_names_its_direction(tmp_path):
     done = solimon_here("supply", "--data-dir", str(tmp_path), env={})
     assert (done.returncode, done.stdout) == (2, "")
     assert "give --on or --off" in done.stderr
 
 
-def test_a_command_is_rejected_before_the_first_record(tmp_path: Path) -> None:
+def test_a_command_is_rejected_before_the_first_record(tmp_path):
     done = solimon_here("pause", "--reason", "why", "--data-dir", str(tmp_path), env={})
     assert done.returncode == 4
     assert "no data yet" in done.stderr
 
 
-def test_a_restarted_web_service_waits_for_its_folder(tmp_path: Path) -> None:
+def test_a_restarted_web_service_waits_for_its_folder(tmp_path):
     """Its supervisor restarted it: the disk may be available again later."""
     folder = tmp_path / "data"
     again = ("--restart-reason", "crashed")
@@ -141,7 +138,7 @@ def test_a_restarted_web_service_waits_for_its_folder(tmp_path: Path) -> None:
     assert "bring back the test's own folder" in done.stderr
 
 
-def test_the_help_lists_the_registry_by_section(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_help_lists_the_registry_by_section(monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     help_text = CliRunner().invoke(cli, ["--help"]).stdout
     assert max(len(line) for line in help_text.splitlines()) <= 80
@@ -160,14 +157,14 @@ SUMMARIES = {name: text for commands in SECTIONS.values() for name, text in comm
 NAMES = list(SUMMARIES)
 
 
-def leaves(command: click.Command) -> list[click.Command]:
+def leaves(command):
     if isinstance(command, click.Group):
         return [leaf for inner in command.commands.values() for leaf in leaves(inner)]
     return [command]
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_a_command_has_its_summary_and_describes_its_options(name: str) -> None:
+def test_a_command_has_its_summary_and_describes_its_options(name):
     command = command_of(name)
     assert (command.name, str(command.help).partition("\n")[0]) == (name, SUMMARIES[name])
     assert len(SUMMARIES[name]) <= 72
@@ -180,7 +177,7 @@ def test_a_command_has_its_summary_and_describes_its_options(name: str) -> None:
         assert undescribed == []
 
 
-def test_the_options_of_a_command_are_the_parameters_of_its_function() -> None:
+def test_the_options_of_a_command_are_the_parameters_of_its_function():
     """A target is a text until the command runs."""
     checked = set()
     for leaf in [leaf for name in NAMES for leaf in leaves(command_of(name))]:
@@ -216,7 +213,7 @@ HEAVY |= {"fastapi", "pydantic", "sqlalchemy", "uvicorn", "nidaqmx", "serial"}
     ],
     ids=("help", "repair", "status"),
 )
-def test_a_command_imports_no_module_of_another(arguments: list[str], own: set[str], tmp_path: Path) -> None:
+def test_a_command_imports_no_module_of_another(arguments, own, tmp_path):
     done = subprocess.run(
         [sys.executable, "-c", IMPORTED, *arguments], capture_output=True, text=True, check=True, cwd=tmp_path
     )
@@ -248,13 +245,13 @@ main()
 """
 
 
-def test_the_demo_prints_its_first_line_before_the_imports() -> None:
+def test_the_demo_prints_its_first_line_before_the_imports():
     done = subprocess.run([sys.executable, "-c", FIRST_WORDS], capture_output=True, text=True, check=True)
     assert done.stderr.startswith("solimon demo: ")
     assert not set(done.stdout.split()) & {"numba", "numpy", "pydantic", "sqlalchemy", "rich"}
 
 
-def test_the_recorder_imports_no_compiler_plots_web_or_drivers() -> None:
+def test_the_recorder_imports_no_compiler_plots_web_or_drivers():
     """A single file of unit tests answers in seconds; a restart of the recorder, too."""
     code = "import sys, daq_service.recording.session; print(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -264,8 +261,14 @@ def test_the_recorder_imports_no_compiler_plots_web_or_drivers() -> None:
     assert not set(done.stdout.split()) & slow
 
 
+def test_the_twin_imports_no_solver_that_only_a_new_plate_needs() -> None:
+    code = "import sys, simulator.specimen; print(*sorted(sys.modules))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.split()) & {"scipy.optimize", "scipy.sparse.linalg", "scipy.stats"}
+
+
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_each_shell_gets_its_completion_script(shell: str) -> None:
+def test_each_shell_gets_its_completion_script(shell):
     done = solimon_here("completion", shell, env={})
     assert done.returncode == 0
     assert f"_SOLIMON_COMPLETE={shell}_complete" in done.stdout
@@ -274,7 +277,7 @@ def test_each_shell_gets_its_completion_script(shell: str) -> None:
 
 
 @pytest.mark.skipif(shutil.which("bash") is None or os.name == "nt", reason="needs bash")
-def test_bash_completes_words_and_options(tmp_path: Path) -> None:
+def test_bash_completes_words_and_options(tmp_path):
     program = tmp_path / "solimon"
     program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m daq_service.cli "$@"\n')
     program.chmod(0o755)

@@ -594,7 +594,7 @@ def test_status_lists_missing_and_empty_sets(folder):
         shutil.rmtree(folder / "sets")
         assert set(lost_sets(folder, catalogue)) == set(FILES.values())
     assert set(solimon("status", "--data-dir", folder)[1]["lost"]) == set(FILES.values())
-    assert "LOST" in solimon_here("status", "--data-dir", str(folder), env={}).stdout
+    assert "MISSING" in solimon_here("status", "--data-dir", str(folder), env={}).stdout
 
 
 @pytest.mark.parametrize("left", [{"experiment.json", "history.jsonl"}, set()], ids=["all else", "sets"])

@@ -14,7 +14,7 @@ from daq_service.web.context import context_of
 
 
 @pytest.fixture
-def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
+def served(monkeypatch, tmp_path):
     """Return the list of applications and settings that would be served; no port is opened."""
     found = []
 
@@ -33,7 +33,7 @@ def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path):
     return found
 
 
-def run(*arguments: object) -> None:
+def run(*arguments):
     result = CliRunner().invoke(cli, ["serve", *map(str, arguments)])
     if isinstance(result.exception, UsageError):
         raise result.exception

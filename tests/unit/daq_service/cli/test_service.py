@@ -11,7 +11,6 @@ import sys
 import threading
 from contextlib import nullcontext
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import pytest
@@ -34,7 +33,7 @@ WITH_SUPPLY = 'name = "50 % \\"wall\\""\n[rig]\nstall_timeout_s = 180.0\n' + SUP
 TASKS = "{http://schemas.microsoft.com/windows/2004/02/mit/task}"
 
 
-def write_service(config: Path, manager: str, *options: str) -> dict[str, Any]:
+def write_service(config, manager, *options):
     arguments = [
         "service",
         manager,
@@ -50,7 +49,7 @@ def write_service(config: Path, manager: str, *options: str) -> dict[str, Any]:
 
 
 @pytest.fixture
-def config(tmp_path: Path) -> Path:
+def config(tmp_path):
     """Return a configuration with a supply and special characters in each path."""
     folder = tmp_path / "my $HOME, 5 % 'and' \"more\""
     folder.mkdir()
@@ -59,19 +58,19 @@ def config(tmp_path: Path) -> Path:
     return file
 
 
-def unit(path: str) -> configparser.ConfigParser:
+def unit(path):
     parser = configparser.ConfigParser(interpolation=None)
     parser.optionxform = str  # type: ignore[assignment, method-assign]
     parser.read(path, encoding="utf-8")
     return parser
 
 
-def units(config: Path) -> dict[str, configparser.ConfigParser]:
+def units(config):
     files = write_service(config, "systemd", "--user", "ada")["files"]
     return {Path(file).stem.removeprefix("solimon-"): unit(file) for file in files}
 
 
-def verify(*files: str) -> str:
+def verify(*files):
     """Check a unit with systemd; return its messages."""
     if shutil.which("systemd-analyze") is None:
         pytest.skip("no systemd-analyze here: it comes with the package systemd")
@@ -80,11 +79,11 @@ def verify(*files: str) -> str:
     return (done.stdout + done.stderr).strip() or ("" if done.returncode == 0 else "refused without a word")
 
 
-def test_systemd_verifies_the_units(config: Path) -> None:
+def test_systemd_verifies_the_units(config):
     assert verify(*write_service(config, "systemd", "--user", "root")["files"]) == ""
 
 
-def test_a_unit_that_systemd_rejects_is_detected(config: Path) -> None:
+def test_a_unit_that_systemd_rejects_is_detected(config):
     """This shows that the check above can fail."""
     recorder = write_service(config, "systemd", "--user", "root")["files"][0]
     text = Path(recorder).read_text(encoding="utf-8")
@@ -92,7 +91,7 @@ def test_a_unit_that_systemd_rejects_is_detected(config: Path) -> None:
     assert "WatchdogSeconds" in verify(recorder)
 
 
-def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config: Path) -> None:
+def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config):
     recorder = units(config)["record"]["Service"]
     settings = load_settings(config)
     deadline_s = longest_call_s(settings) + settings.rig.stall_timeout_s
@@ -102,7 +101,7 @@ def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config: Path) 
     assert int(recorder["TimeoutStopSec"]) > deadline_s
 
 
-def test_a_process_is_restarted_according_to_its_exit_code(config: Path) -> None:
+def test_a_process_is_restarted_according_to_its_exit_code(config):
     for parsed in units(config).values():
         service = parsed["Service"]
         assert service["Restart"] == "always"
@@ -112,7 +111,7 @@ def test_a_process_is_restarted_according_to_its_exit_code(config: Path) -> None
         assert service["User"] == "ada"
 
 
-def test_the_supply_s_process_is_a_service_of_its_own(config: Path) -> None:
+def test_the_supply_s_process_is_a_service_of_its_own(config):
     """Otherwise it would end with the recorder, which it must outlive."""
     written_units = units(config)
     assert (
@@ -126,7 +125,7 @@ def test_the_supply_s_process_is_a_service_of_its_own(config: Path) -> None:
     assert list(units(config)) == ["record", "serve"]
 
 
-def test_only_the_processes_that_use_devices_may_open_them(config: Path) -> None:
+def test_only_the_processes_that_use_devices_may_open_them(config):
     written_units = units(config)
     assert written_units["serve"]["Service"]["WatchdogSec"] == f"{WEB_DEADLINE_S:.0f}"
     assert written_units["serve"]["Service"]["Type"] == "notify"
@@ -137,7 +136,7 @@ def test_only_the_processes_that_use_devices_may_open_them(config: Path) -> None
 
 
 @pytest.mark.parametrize("manager", ["systemd", "windows"])
-def test_the_command_lines_are_valid_commands(manager: str, config: Path) -> None:
+def test_the_command_lines_are_valid_commands(manager, config):
     files = write_service(config, manager)["files"]
     if manager == "systemd":
         lines = [unit(file)["Service"]["ExecStart"].replace("%%", "%").replace("$$", "$") for file in files]
@@ -163,7 +162,7 @@ def test_the_command_lines_are_valid_commands(manager: str, config: Path) -> Non
     )
 
 
-def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_takes(config: Path) -> None:
+def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_takes(config):
     answer = write_service(config, "windows", "--user", "LAB\\ada", "--name", "wall")
     assert [Path(file).name for file in answer["files"]] == ["wall.xml", "wall-supply-process.xml"]
     assert answer["install"][0] == f'schtasks /create /f /tn "wall" /xml "{answer["files"][0]}"'
@@ -176,7 +175,7 @@ def test_a_task_of_windows_starts_at_boot_and_again_and_runs_for_as_long_as_it_t
     assert int(found["Count"] or 0) <= 255, "the schema's unsigned byte"
 
 
-def test_one_command_installs_and_starts_the_units(config: Path) -> None:
+def test_one_command_installs_and_starts_the_units(config):
     answer = write_service(config, "systemd")
     (line,) = answer["install"]
     names = [Path(file).name for file in answer["files"]]
@@ -195,9 +194,7 @@ def test_one_command_installs_and_starts_the_units(config: Path) -> None:
 
 
 @pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no service manager here has a Unix socket")
-def test_a_recorder_notifies_its_service_manager_from_start_to_end(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recorder_notifies_its_service_manager_from_start_to_end(tmp_path, monkeypatch):
     monkeypatch.setattr("daq_service.cli.run.log_to", lambda path: None)  # it would log later tests, too
     config = tmp_path / "test.toml"
     config.write_text(
@@ -216,9 +213,7 @@ def test_a_recorder_notifies_its_service_manager_from_start_to_end(
 
 
 @pytest.mark.skipif(not hasattr(socket, "AF_UNIX"), reason="no service manager here has a Unix socket")
-def test_the_event_loop_of_a_web_service_feeds_the_watchdog_of_its_manager(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_event_loop_of_a_web_service_feeds_the_watchdog_of_its_manager(tmp_path, monkeypatch):
     monkeypatch.setattr("daq_service.web.server.TICKS_OF_A_BEAT", 1)
     monkeypatch.setattr("daq_service.web.server.collect_garbage_seldom", lambda: None)
     app = create_app(load_settings(None), tmp_path)

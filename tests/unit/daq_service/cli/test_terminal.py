@@ -5,7 +5,6 @@ import logging
 import sys
 import threading
 import webbrowser
-from typing import Any
 
 import pytest
 from support.machine import clock_in_seconds
@@ -21,25 +20,25 @@ GAP = {"state": "missed", "positions": ["A", "B"], "cause": "held by ann: door o
 class Log:
     """Progress report with a clock that the test moves."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         self.now_s = 0.0
         self.report = ProgressReport(machine=clock_in_seconds(lambda: self.now_s))
 
-    def after(self, seconds: float, event: str, **values: Any) -> None:
+    def after(self, seconds, event, **values):
         self.now_s += seconds
         self.report(event, **values)
 
-    def progress(self, seconds: float, done: int) -> None:
+    def progress(self, seconds, done):
         self.after(seconds, "progress", done=done, planned=100, due_h=done / 2.0)
 
 
-def lines(capsys: pytest.CaptureFixture[str]) -> list[str]:
+def lines(capsys):
     captured = capsys.readouterr()
     assert captured.out == "", "standard output belongs to whoever asked for something"
     return captured.err.splitlines()
 
 
-def test_a_log_has_a_line_per_set_and_at_most_one_per_minute(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_log_has_a_line_per_set_and_at_most_one_per_minute(capsys):
     log = Log()
     with log.report:
         for done, pause_s in enumerate((0.0, 1800.0, 1800.0, 1.0, 1.0, 60.0), start=1):
@@ -50,7 +49,7 @@ def test_a_log_has_a_line_per_set_and_at_most_one_per_minute(capsys: pytest.Capt
     ]
 
 
-def test_each_requested_action_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_each_requested_action_is_one_line(capsys):
     log = Log()
     asked = {"text": "strike C now", "position": "C", "set_index": 3, "shot_index": 6, "attempt": 0}
     with log.report:
@@ -63,7 +62,7 @@ def test_each_requested_action_is_one_line(capsys: pytest.CaptureFixture[str]) -
     ]
 
 
-def test_alarms_are_printed_when_raised_and_when_cleared(capsys: pytest.CaptureFixture[str]) -> None:
+def test_alarms_are_printed_when_raised_and_when_cleared(capsys):
     log = Log()
     with log.report:
         for change in (
@@ -82,9 +81,7 @@ def test_alarms_are_printed_when_raised_and_when_cleared(capsys: pytest.CaptureF
     ]
 
 
-def test_the_first_and_last_of_consecutive_gaps_with_one_reason_are_printed(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_the_first_and_last_of_consecutive_gaps_with_one_reason_are_printed(capsys):
     log = Log()
     with log.report:
         for index in (3, 4, 5):
@@ -102,7 +99,7 @@ def test_the_first_and_last_of_consecutive_gaps_with_one_reason_are_printed(
     ]
 
 
-def test_a_long_preparation_is_printed_with_its_duration(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_long_preparation_is_printed_with_its_duration(capsys):
     log = Log()
     with log.report:
         log.after(0.0, "preparing", what="building the plates")
@@ -115,7 +112,7 @@ def test_a_long_preparation_is_printed_with_its_duration(capsys: pytest.CaptureF
     assert lines(capsys) == ["compiling the loops: took 40 s", "building the plates: took 41 s"]
 
 
-def test_the_progress_line_names_the_long_step(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_progress_line_names_the_long_step(capsys):
     log = Log()
     text = log.report._text
     log.after(1.0, "beat", doing="opening the rig", process=1)
@@ -134,7 +131,7 @@ def test_the_progress_line_names_the_long_step(capsys: pytest.CaptureFixture[str
     capsys.readouterr()
 
 
-def test_a_restart_is_printed_with_its_cause(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_restart_is_printed_with_its_cause(capsys):
     log = Log()
     with log.report:
         log.report.hear("web", {"event": "restarts", "cause": "was killed by signal 9", "in_s": 0.2})
@@ -148,13 +145,11 @@ def test_a_restart_is_printed_with_its_cause(capsys: pytest.CaptureFixture[str])
 
 
 class GoneTerminal(io.StringIO):
-    def write(self, text: str) -> int:
+    def write(self, text):
         raise OSError(5, "Input/output error")
 
 
-def test_a_closed_terminal_ends_no_test(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_a_closed_terminal_ends_no_test(monkeypatch, caplog):
     monkeypatch.setattr(sys, "stderr", GoneTerminal())
     log = Log()
     with caplog.at_level(logging.DEBUG), log.report:
@@ -165,16 +160,16 @@ def test_a_closed_terminal_ends_no_test(
 class HeldTerminal(io.StringIO):
     """Stream that blocks until it is released, as a terminal after Ctrl-S."""
 
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__()
         self.released = threading.Event()
 
-    def write(self, text: str) -> int:
+    def write(self, text):
         happened(self.released.wait, "the release of the terminal")
         return super().write(text)
 
 
-def test_a_blocked_terminal_delays_no_caller(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_blocked_terminal_delays_no_caller(monkeypatch):
     held = HeldTerminal()
     monkeypatch.setattr(sys, "stderr", held)
     log = Log()
@@ -191,7 +186,7 @@ def test_a_blocked_terminal_delays_no_caller(monkeypatch: pytest.MonkeyPatch) ->
     ("seconds", "text"),
     [(0.4, "0 s"), (119.0, "119 s"), (120.0, "2 min"), (7200.0, "2.0 h"), (172_800.0, "2.0 d")],
 )
-def test_a_duration_has_its_unit(seconds: float, text: str) -> None:
+def test_a_duration_has_its_unit(seconds, text):
     assert duration(seconds) == text
 
 
@@ -199,7 +194,7 @@ def test_a_duration_has_its_unit(seconds: float, text: str) -> None:
 
 
 @pytest.fixture
-def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+def at_a_terminal(monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
 
 
@@ -217,30 +212,28 @@ def at_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
         ({"SSH_TTY": "/dev/pts/1"}, "darwin", "SSH"),
     ],
 )
-def test_a_page_is_opened_for_an_interactive_user(
-    environment: dict[str, str], platform: str, why: str
-) -> None:
+def test_a_page_is_opened_for_an_interactive_user(environment, platform, why):
     assert why_no_screen(environment, platform) == why
 
 
-def test_no_page_is_opened_for_a_program() -> None:
+def test_no_page_is_opened_for_a_program():
     assert why_no_screen({"DISPLAY": ":0"}, "linux") == "no terminal"
 
 
 class Browser(webbrowser.BackgroundBrowser):
-    def __init__(self) -> None:
+    def __init__(self):
         super().__init__("firefox")
         self.opened = threading.Event()
         self.urls: list[str] = []
 
-    def open(self, url: str, new: int = 0, autoraise: bool = True) -> bool:
+    def open(self, url, new=0, autoraise=True):
         self.urls.append(url)
         self.opened.set()
         return True
 
 
 @pytest.mark.usefixtures("at_a_terminal")
-def test_the_page_is_opened_once_in_the_persons_browser(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_page_is_opened_once_in_the_persons_browser(monkeypatch):
     browser = Browser()
     monkeypatch.setattr(terminal, "why_no_screen", lambda environment: "")
     monkeypatch.setattr(webbrowser, "get", lambda: browser)
@@ -251,13 +244,13 @@ def test_the_page_is_opened_once_in_the_persons_browser(monkeypatch: pytest.Monk
     assert not open_page("http://127.0.0.1:8000/")
 
 
-def test_no_browser_takes_the_terminal_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_browser_takes_the_terminal_itself(monkeypatch):
     monkeypatch.setattr(terminal, "why_no_screen", lambda environment: "")
     monkeypatch.delenv("BROWSER", raising=False)
     monkeypatch.setattr(webbrowser, "get", lambda: webbrowser.GenericBrowser("w3m"))
     assert not open_page("http://127.0.0.1:8000/")
 
-    def none() -> None:
+    def none():
         raise webbrowser.Error("could not locate runnable browser")
 
     monkeypatch.setattr(webbrowser, "get", none)

@@ -75,7 +75,7 @@ class Bench:
             alarms=self.ledger.alarms,
             annotations=lambda: self.catalogue.rows(AnnotationRow),
             store=self.ledger.commit,
-            reinstated=self.ledger.assessors.reinstate,
+            enabled=self.ledger.assessors.enable,
             confirmation=self.confirmation,
             settings=Settings(),
             next_set=lambda: self.next_set,
@@ -134,7 +134,7 @@ def test_finish_now_ends_the_pacing(bench: Bench) -> None:
 
 def test_a_wall_clock_cannot_skip_time(bare: Bench) -> None:
     message = "the test runs on the wall clock, which cannot skip time"
-    assert bare.execute("finish_now") == ("refused", message)
+    assert bare.execute("finish_now") == ("rejected", message)
 
 
 def baselines(bench: Bench) -> list[tuple[str, str, int, int]]:
@@ -152,7 +152,7 @@ def test_a_baseline_is_approved_once_and_retired_with_author_time_and_reason(ben
     assert (row.state, row.approval, row.approved_utc_ns) == ("approved", "ann", bench.clock.utc_ns())
     assert (row.mean, row.limits) == (proposed.mean, proposed.limits), "only its life goes on"
     again = bench.execute("approve_baseline", position="B")
-    assert again == ("refused", "the baseline of B is approved: there is nothing to sign")
+    assert again == ("rejected", "the baseline of B is approved: there is nothing to sign")
     result = (
         "B-baseline-1 is retired; B-baseline-2 collects sets 10 to 57, and nothing is judged at B till then"
     )
@@ -170,11 +170,13 @@ def test_a_baseline_is_approved_once_and_retired_with_author_time_and_reason(ben
 
 def test_a_baseline_is_renewed_only_with_a_reason_and_with_sets_left(bench: Bench) -> None:
     state, answer = bench.execute("renew_baseline", position="B", note=" ")
-    assert (state, "say why the baseline is retired" in answer) == ("refused", True)
+    assert (state, "say why the baseline is retired" in answer) == ("rejected", True)
     bench.next_set = 378
     state, answer = bench.execute("renew_baseline", position="B", note="a new sensor")
     expected = "the plan has 47 sets left, another baseline takes 48 (baseline.hours), as the first one: "
-    assert (state, answer.startswith(expected), "schedule.end_h" in answer) == ("refused", True, True), answer
+    assert (state, answer.startswith(expected), "schedule.end_h" in answer) == ("rejected", True, True), (
+        answer
+    )
     bench.next_set = 377
     assert bench.execute("renew_baseline", position="B", note="a new sensor")[0] == "done"
     # It was still being recorded: its history has no gap.
@@ -348,7 +350,7 @@ def test_the_recorder_ends_an_expired_shelf_without_a_new_set(bench: Bench) -> N
     done = bench.execute("shelve_alarm", alarm_id=alarm_id, for_h=8.0, reason="a new coil is on its way")
     assert done == ("done", "shelve alarm")
     again = bench.execute("shelve_alarm", alarm_id=99, for_h=8.0, reason="which?")
-    assert again == ("refused", "there is no alarm 99")
+    assert again == ("rejected", "there is no alarm 99")
     for hour, suppressed in [(7.9, "shelved"), (8.1, None)]:
         now_ns = bench.clock.utc_ns() + round(hour * NS_PER_H)
         bench.ledger.expire_shelves(Moment(utc_ns=now_ns, due_h=HOUR + hour, set_index=None))
@@ -363,14 +365,14 @@ def test_a_pause_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
     assert bench.execute("pause", note="door open") == ("done", done)
     assert bench.listener.held == "held by ann: door open"
     already = "the test is already paused: held by ann: door open"
-    assert bench.execute("pause", note="why") == ("refused", already)
+    assert bench.execute("pause", note="why") == ("rejected", already)
     bench.restart()
     assert bench.listener.held == "held by ann: door open"
     assert bench.execute("resume", note="shut") == ("done", "resumed: the next due set is taken")
     assert bench.listener.held == ""
     bench.restart()
     assert bench.listener.held == ""
-    assert bench.execute("resume") == ("refused", "the test is not paused")
+    assert bench.execute("resume") == ("rejected", "the test is not paused")
 
 
 def test_pending_commands_are_executed_in_order(bench: Bench) -> None:
@@ -386,13 +388,13 @@ def test_pending_commands_are_executed_in_order(bench: Bench) -> None:
 def test_a_transducer_is_disabled_and_enabled(bench: Bench) -> None:
     assert bench.execute("disable", position="B", note="coil is hot") == ("done", "B is disabled")
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
-    assert bench.execute("strike", position="B") == ("refused", "B is disabled")
-    assert bench.execute("disable", position="B") == ("refused", "B is disabled")
+    assert bench.execute("strike", position="B") == ("rejected", "B is disabled")
+    assert bench.execute("disable", position="B") == ("rejected", "B is disabled")
     bench.restart()
     assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
     assert bench.execute("enable", position="B") == ("done", "B strikes again from the next set")
     assert bench.ledger.retired() == {}
-    assert bench.execute("enable", position="B") == ("refused", "B is not disabled")
+    assert bench.execute("enable", position="B") == ("rejected", "B is not disabled")
 
 
 def test_a_disabled_transducer_names_the_author_of_the_command(bench: Bench) -> None:
@@ -406,7 +408,7 @@ def test_a_disabled_transducer_names_the_author_of_the_command(bench: Bench) -> 
 @pytest.mark.parametrize("kind", ["disable", "enable"])
 def test_only_a_solitary_wave_transducer_is_disabled(bench: Bench, kind: str) -> None:
     message = "there is no solitary-wave transducer 'A'; there are: B, C, D"
-    assert bench.execute(kind, position="A") == ("refused", message)
+    assert bench.execute(kind, position="A") == ("rejected", message)
 
 
 def test_an_alarm_is_acknowledged_once(bench: Bench) -> None:
@@ -416,13 +418,13 @@ def test_an_alarm_is_acknowledged_once(bench: Bench) -> None:
     assert bench.execute("acknowledge_alarm", alarm_id=alarm_id, note="seen") == ("done", "acknowledged")
     assert bench.alarm("D") == (alarm_id, "acknowledged")
     again = f"alarm {alarm_id} is acknowledged: there is nothing to acknowledge"
-    assert bench.execute("acknowledge_alarm", alarm_id=alarm_id) == ("refused", again)
-    assert bench.execute("acknowledge_alarm", alarm_id=99) == ("refused", "there is no current alarm 99")
+    assert bench.execute("acknowledge_alarm", alarm_id=alarm_id) == ("rejected", again)
+    assert bench.execute("acknowledge_alarm", alarm_id=99) == ("rejected", "there is no current alarm 99")
 
 
 def test_the_supply_is_switched_by_its_author_at_this_hour(bench: Bench) -> None:
     assert bench.execute("supply_on", voltage_v=5.0) == ("done", "the supply is on")
-    assert bench.execute("supply_on", voltage_v=50.0) == ("refused", "beyond the cap")
+    assert bench.execute("supply_on", voltage_v=50.0) == ("rejected", "beyond the cap")
     assert bench.execute("supply_off", note="done") == ("done", "the supply is off")
     assert bench.switch is not None
     assert bench.switch.done == [("on", "ann", HOUR, 5.0, None), ("off", "ann", HOUR)]
@@ -430,7 +432,7 @@ def test_the_supply_is_switched_by_its_author_at_this_hour(bench: Bench) -> None
 
 @pytest.mark.parametrize("kind", ["supply_on", "supply_off"])
 def test_without_a_supply_nothing_is_switched(bare: Bench, kind: str) -> None:
-    assert bare.execute(kind) == ("refused", "this test has no supply; configure [rig.supply]")
+    assert bare.execute(kind) == ("rejected", "this test has no supply; configure [rig.supply]")
 
 
 def test_an_unknown_command_is_rejected_and_the_next_one_executed(bench: Bench) -> None:

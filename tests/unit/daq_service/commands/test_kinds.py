@@ -6,20 +6,18 @@ import pytest
 from pydantic import TypeAdapter, ValidationError
 from support.filled_folder import frozen_baseline
 
-from daq_service.catalogue.rows import AlarmRow, AlarmState, AnnotationRow
+from daq_service.catalogue.rows import AlarmRow, AnnotationRow
 from daq_service.commands.kinds import Command, Facts, StoredCommand
 from daq_service.commands.registry import KINDS, AnyCommand, parse_command
 from daq_service.errors import UsageError
 
 
-def facts(**values: object) -> Facts:
+def facts(**values):
     anything = {"can_skip_time": True, "held": "", "positions": ("B", "C"), "has_supply": True, "alarms": ()}
     return Facts(**(anything | values))  # type: ignore[arg-type] # a test's own values
 
 
-def alarm(
-    state: AlarmState, alarm_id: int = 7, position: str | None = "B", kind: str = "transducer_disabled"
-) -> AlarmRow:
+def alarm(state, alarm_id=7, position="B", kind="transducer_disabled"):
     return AlarmRow(
         id=alarm_id,
         position=position,
@@ -36,7 +34,7 @@ def alarm(
     )
 
 
-def order(kind: str, **arguments: object) -> Command:
+def order(kind, **arguments):
     return parse_command(kind, "ann", arguments)
 
 
@@ -71,14 +69,14 @@ OPEN = {
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_a_permitted_command_is_executed(kind: str) -> None:
+def test_a_permitted_command_is_executed(kind):
     held = "held by ben" if kind == "resume" else ""
     assert order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**{**OPEN, "held": held})) is None
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 @pytest.mark.parametrize("word", ["finished", "stopped"])
-def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind: str, word: str) -> None:
+def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind, word):
     command = order(kind, **ARGUMENTS.get(kind, {}))
     refusal = command.forbidden(facts(**OPEN, recorder=word))
     if isinstance(command, StoredCommand):
@@ -89,7 +87,7 @@ def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind: str, wor
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
-def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: str) -> None:
+def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind):
     command = order(kind, **ARGUMENTS.get(kind, {}))
     refusal = command.forbidden(facts(**OPEN, recorder="not_responding", recorded=False))
     assert (refusal is None) == isinstance(command, StoredCommand)
@@ -186,23 +184,21 @@ def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind: st
         ),
     ],
 )
-def test_a_rejection_has_the_expected_message(
-    kind: str, state: dict[str, object], reason: str, detail: str, hint: str
-) -> None:
+def test_a_rejection_has_the_expected_message(kind, state, reason, detail, hint):
     refusal = order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**state))
     assert refusal is not None
     assert (refusal.reason, refusal.detail, refusal.hint) == (reason, detail, hint)
     assert refusal.missing == (reason == "there is no current alarm 7")
 
 
-def test_every_kind_is_parsed_identically_from_row_and_web() -> None:
+def test_every_kind_is_parsed_identically_from_row_and_web():
     web: TypeAdapter[Command] = TypeAdapter(AnyCommand)
     for kind in KINDS:
         body = {"kind": kind, "author": "ann", "arguments": ARGUMENTS.get(kind, {})}
         assert web.validate_python(body) == order(kind, **ARGUMENTS.get(kind, {}))
 
 
-def test_a_command_without_an_author_does_not_switch_the_supply_on() -> None:
+def test_a_command_without_an_author_does_not_switch_the_supply_on():
     web: TypeAdapter[Command] = TypeAdapter(AnyCommand)
     with pytest.raises(ValidationError, match="author\n  Field required"):
         web.validate_python({"kind": "supply_on"})
@@ -223,8 +219,6 @@ def test_a_command_without_an_author_does_not_switch_the_supply_on() -> None:
         ("acknowledge_alarm", {"alarm_id": True}, "arguments.alarm_id: Input should be a valid integer"),
     ],
 )
-def test_an_invalid_command_is_rejected_with_the_invalid_part(
-    kind: str, arguments: dict[str, object], message: str
-) -> None:
+def test_an_invalid_command_is_rejected_with_the_invalid_part(kind, arguments, message):
     with pytest.raises(UsageError, match=message):
         parse_command(kind, "ann", arguments)

@@ -91,12 +91,12 @@ def test_arguments_that_are_not_given_are_left_out(recorder: RecorderDouble) -> 
 def test_a_rejected_command_is_an_error_with_the_recorders_reason(
     recorder: RecorderDouble, capsys: pytest.CaptureFixture[str], as_json: bool
 ) -> None:
-    recorder.answer = ("refused", "B is not disabled")
-    with pytest.raises(UsageError, match="refused to enable: B is not disabled") as refusal:
+    recorder.answer = ("rejected", "B is not disabled")
+    with pytest.raises(UsageError, match="rejected enable: B is not disabled") as refusal:
         recorder.send("enable", position="B", as_json=as_json)
     assert refusal.value.exit_code == 2
     printed = capsys.readouterr().out
-    assert (json.loads(printed)["state"] if as_json else printed) == ("refused" if as_json else "")
+    assert (json.loads(printed)["state"] if as_json else printed) == ("rejected" if as_json else "")
 
 
 def test_invalid_arguments_are_not_stored(recorder: RecorderDouble) -> None:

@@ -10,7 +10,7 @@ from support.new_experiment import new_catalogue
 
 from daq_service.alarms.states import Condition, Moment, update
 from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import Catalogue, open_catalogue
+from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.history import HistoryFollower, read_history
 from daq_service.catalogue.rows import AlarmRow, CommandRow, EventRow
 from daq_service.commands.kinds import CommandRejectedError, Facts, StoredCommand
@@ -31,7 +31,7 @@ HOLE = Condition(
 )
 
 
-def ended_test(folder: Path) -> int:
+def ended_test(folder):
     """Fill a folder with one unacknowledged alarm and no recorder; return the id of the alarm."""
     with new_catalogue(folder) as catalogue:
         change = update(None, HOLE, Moment(utc_ns=5, due_h=5.0, set_index=1))
@@ -43,7 +43,7 @@ def ended_test(folder: Path) -> int:
     return alarm_id
 
 
-def facts(catalogue: Catalogue) -> Facts:
+def facts(catalogue):
     return Facts(
         recorder="finished",
         recorded=False,
@@ -55,13 +55,13 @@ def facts(catalogue: Catalogue) -> Facts:
     )
 
 
-def acknowledge(folder: Path, alarm_id: int = 1) -> int:
+def acknowledge(folder, alarm_id=1):
     order = parse_command("acknowledge_alarm", "ann", {"alarm_id": alarm_id, "note": "seen"})
     assert isinstance(order, StoredCommand)
     return carry_out_unattended(folder, order, facts=facts, moment=lambda: NOW)
 
 
-def test_an_acknowledgement_is_stored_with_command_event_and_history(tmp_path: Path) -> None:
+def test_an_acknowledgement_is_stored_with_command_event_and_history(tmp_path):
     order_id = acknowledge(tmp_path, ended_test(tmp_path))
     with open_catalogue(tmp_path) as catalogue:
         (alarm,), (order,) = catalogue.rows(AlarmRow), catalogue.rows(CommandRow)
@@ -75,7 +75,7 @@ def test_an_acknowledgement_is_stored_with_command_event_and_history(tmp_path: P
     assert history.commands == {order_id: order}
 
 
-def test_a_forbidden_command_stores_nothing(tmp_path: Path) -> None:
+def test_a_forbidden_command_stores_nothing(tmp_path):
     alarm_id = ended_test(tmp_path)
     acknowledge(tmp_path, alarm_id)
     before = read_history(tmp_path).last_number
@@ -88,9 +88,7 @@ def test_a_forbidden_command_stores_nothing(tmp_path: Path) -> None:
     assert read_history(tmp_path).last_number == before
 
 
-def test_a_recorder_started_meanwhile_is_not_disturbed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_recorder_started_meanwhile_is_not_disturbed(tmp_path, monkeypatch):
     alarm_id = ended_test(tmp_path)
     monkeypatch.setattr(
         "daq_service.commands.without_recorder.own_data_folder",
@@ -135,7 +133,7 @@ acknowledge(Path(sys.argv[1]))
         ("before the history", True),
     ],
 )
-def test_a_killed_process_has_stored_all_changes_or_none(tmp_path: Path, point: str, done: bool) -> None:
+def test_a_killed_process_has_stored_all_changes_or_none(tmp_path, point, done):
     alarm_id = ended_test(tmp_path)
     tests = str(Path(__file__).parents[3])
     path = os.pathsep.join(filter(None, [tests, os.environ.get("PYTHONPATH")]))

@@ -156,7 +156,7 @@ def test_climate_and_supply_are_read_independently(energised):
     energised.supply.error, energised.probe.error = None, ConnectionLostError("probe gone")
     energised.run(200.0)
     row = energised.summary()
-    assert (row["supply_quality"], row["climate_quality"]) == ("good", "lost")
+    assert (row["supply_quality"], row["climate_quality"]) == ("good", "no_communication")
     assert row["temperature_c"] == 21.5, "the last one, with its age"
     assert row["climate_age_s"] >= 180.0
 
@@ -180,7 +180,7 @@ def test_a_lost_supply_is_unknown_with_its_age_and_never_off(energised, error):
     assert energised.active() == set(), "which is no alarm"
     energised.run(30.0)
     row = energised.summary()
-    assert (row["supply_state"], row["supply_quality"]) == ("unknown", "lost")
+    assert (row["supply_state"], row["supply_quality"]) == ("unknown", "no_communication")
     # The newest reading was the fixture's last, 10 s before it ended.
     assert row["supply_age_s"] == pytest.approx(50.0, abs=0.5)  # half a second between ticks
     assert row["unknown_s"] == row["supply_age_s"], "a silence that lasts is unknown time already"

@@ -494,4 +494,4 @@ def test_a_reader_gets_the_age_of_the_supply_state(tmp_path, changes, age_s):
     now = read_supply_status(tmp_path)
     assert now is not None
     assert now.age_s == pytest.approx(age_s, abs=20.0)  # a busy machine is late
-    assert (now.state, now.quality, now.last, now.process) == ("unknown", "lost", "on", False)
+    assert (now.state, now.quality, now.last, now.process) == ("unknown", "no_communication", "on", False)

@@ -179,7 +179,7 @@ def test_a_missing_process_gives_an_unknown_state_with_its_age(bench):
     bench.wait_for_row(supply_state="on")
     unknown_s = bench.remote.row(0, 0.0).unknown_s or 0.0
     bench.is_killed()
-    bench.wait_for_row(supply_state="unknown", supply_quality="lost")
+    bench.wait_for_row(supply_state="unknown", supply_quality="no_communication")
     assert list(bench.active()) == ["supply_not_responding"]
     bench.now_s += 100.0
     row = bench.remote.row(0, 0.0)

@@ -131,6 +131,6 @@ def test_a_full_volume_is_reported_immediately(tmp_path, monkeypatch):
     for free, expected in ((60, []), (4, ["WAITING: 4.00 GB (4.0%) of the volume are free"])):
         volume = SimpleNamespace(total=100 * GB, free=free * GB)
         monkeypatch.setattr(disk_policy.shutil, "disk_usage", lambda _, volume=volume: volume)
-        report_full_disk(tmp_path, Settings(), messages.append)
+        report_full_disk(tmp_path, Settings().storage, messages.append)
         assert [line.partition(", and")[0] for line in messages] == expected
     assert messages[0].endswith("free some, the test goes on by itself")

@@ -4,22 +4,20 @@ import json
 import os
 import sys
 import time
-from collections.abc import Callable, Iterator
 from dataclasses import asdict
-from pathlib import Path
 
 import pytest
 from support.new_experiment import add_events, new_catalogue
 
-from daq_service.catalogue import RecorderCatalogue, SetCommit
+from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import SetRow
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import boot_name
 from daq_service.commands.send import send_command
 from daq_service.errors import BusyError
 from daq_service.processes.data_folder import own_data_folder
-from daq_service.processes.heartbeat import FILE_NAME, Beat, Stage, encoded
-from daq_service.processes.recorder_state import RecorderStatus, read_recorder_state, recorder_state
+from daq_service.processes.heartbeat import FILE_NAME, Beat, encoded
+from daq_service.processes.recorder_state import read_recorder_state, recorder_state
 from daq_service.settings.tree import Settings
 from daq_service.web.context import Context
 from daq_service.web.routes.health import get_health
@@ -28,7 +26,7 @@ from hardware_drivers.nanoseconds import NS_PER_S
 BOOT, NOW_NS = "this boot", 1000 * NS_PER_S
 
 
-def beat(age_s: float, *, boot: str | None = BOOT, stage: Stage = "") -> Beat:
+def beat(age_s, *, boot=BOOT, stage=""):
     mono_ns = NOW_NS - round(age_s * NS_PER_S)
     return Beat(process=1, mono_ns=mono_ns, deadline_s=65.0, doing="waiting", boot=boot, stage=stage)
 
@@ -66,9 +64,7 @@ LATE = "last sign of life 66 s ago while waiting"
 @pytest.mark.parametrize(
     "kinds", [[], ["recorder_started", "set_done"], ["recorder_stopped", "recorder_started"]]
 )
-def test_a_recorder_state_follows_from_lock_and_heartbeat(
-    owned: bool | None, found: Beat | None, word: RecorderStatus, description: str, kinds: list[str]
-) -> None:
+def test_a_recorder_state_follows_from_lock_and_heartbeat(owned, found, word, description, kinds):
     state = recorder_state(found, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
     assert (state.status, state.description) == (word, description)
     assert state.listens == (word == "running")
@@ -84,18 +80,16 @@ def test_a_recorder_state_follows_from_lock_and_heartbeat(
         (["recorder_stopped", "recorder_started", "set_done"], "not_responding", GONE),
     ],
 )
-def test_without_a_heartbeat_the_state_follows_from_the_catalogue(
-    owned: bool | None, kinds: list[str], word: RecorderStatus, description: str
-) -> None:
+def test_without_a_heartbeat_the_state_follows_from_the_catalogue(owned, kinds, word, description):
     state = recorder_state(None, kinds, owned=owned, boot=BOOT, mono_ns=NOW_NS)
     assert (state.status, state.description, state.listens) == (word, description, False)
 
 
 @pytest.mark.parametrize("farewell", ["schedule_done", "recorder_stopped", "recorder_left_alone"])
-def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell: str) -> None:
+def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell):
     """The lock shows that a recorder runs, and a running one has not stopped: it waits for its rig."""
 
-    def state(found: Beat | None) -> tuple[RecorderStatus, str, bool]:
+    def state(found):
         result = recorder_state(found, [farewell], owned=True, boot=BOOT, mono_ns=NOW_NS)
         return result.status, result.description, result.listens
 
@@ -116,9 +110,7 @@ def test_a_recorder_that_starts_after_an_orderly_end_is_running(farewell: str) -
         (["recorder_started", "recorder_left_alone"], "stopped", False),
     ],
 )
-def test_an_ended_recorder_reports_its_end_and_may_accept_commands(
-    kinds: list[str], word: RecorderStatus, listens: bool
-) -> None:
+def test_an_ended_recorder_reports_its_end_and_may_accept_commands(kinds, word, listens):
     last_beat = beat(1.0, stage="ended")
     state = recorder_state(last_beat, kinds, owned=True, boot=BOOT, mono_ns=NOW_NS)
     assert (state.status, state.listens) == (word, listens)
@@ -129,8 +121,8 @@ def test_an_ended_recorder_reports_its_end_and_may_accept_commands(
     assert [(item.status, item.listens) for item in (late, gone)] == [(word, False)] * 2
 
 
-def test_the_age_of_a_beat_is_known_only_within_its_boot() -> None:
-    def age(found: Beat) -> float | None:
+def test_the_age_of_a_beat_is_known_only_within_its_boot():
+    def age(found):
         return recorder_state(found, [], owned=True, boot=BOOT, mono_ns=NOW_NS).beat_age_s
 
     assert age(beat(3.0)) == 3.0
@@ -138,14 +130,14 @@ def test_the_age_of_a_beat_is_known_only_within_its_boot() -> None:
 
 
 @pytest.fixture
-def folder(tmp_path: Path) -> Iterator[Path]:
+def folder(tmp_path):
     with new_catalogue(tmp_path) as catalogue:
         add_events(catalogue, "recorder_started")
         stored_set(catalogue)
         yield tmp_path
 
 
-def stored_set(catalogue: RecorderCatalogue) -> None:
+def stored_set(catalogue):
     """Store a gap: before the first row the web has no data."""
     gap = SetRow(
         set_index=0,
@@ -160,35 +152,35 @@ def stored_set(catalogue: RecorderCatalogue) -> None:
     catalogue.commit_set(SetCommit(sets=[gap]))
 
 
-def as_text(found: Beat) -> str:
+def as_text(found):
     return json.dumps(asdict(found))
 
 
-def after_a_reboot() -> str:
+def after_a_reboot():
     """Return a beat of the future: this boot is younger than the one before was."""
     return as_text(Beat(process=1, mono_ns=2**62, deadline_s=65.0, doing="waiting", boot="another boot"))
 
 
-def after_a_reboot_of_an_older_version() -> str:
+def after_a_reboot_of_an_older_version():
     fields = asdict(Beat(process=1, mono_ns=2**62, deadline_s=65.0, doing="waiting"))
     return json.dumps({name: value for name, value in fields.items() if name != "boot"})
 
 
-def after_a_short_boot() -> str:
+def after_a_short_boot():
     """Return a beat of the past of this boot."""
     now_ns = time.monotonic_ns()
     return as_text(Beat(process=1, mono_ns=now_ns, deadline_s=65.0, doing="waiting", boot="another boot"))
 
 
-def empty() -> str:
+def empty():
     return ""
 
 
-def torn() -> str:
+def torn():
     return after_a_reboot()[:30]
 
 
-def foreign() -> str:
+def foreign():
     return '["no", "heartbeat"]'
 
 
@@ -196,9 +188,7 @@ def foreign() -> str:
     "last_beat",
     [after_a_reboot, after_a_reboot_of_an_older_version, after_a_short_boot, empty, torn, foreign],
 )
-def test_status_commands_and_web_agree_that_no_recorder_runs(
-    folder: Path, last_beat: Callable[[], str]
-) -> None:
+def test_status_commands_and_web_agree_that_no_recorder_runs(folder, last_beat):
     if last_beat is after_a_short_boot and boot_name() is None:
         pytest.skip("this system names no boot")
     (folder / FILE_NAME).write_text(last_beat(), encoding="utf-8")
@@ -217,11 +207,11 @@ def test_status_commands_and_web_agree_that_no_recorder_runs(
     assert health["recorder"]["beat_age_s"] is None
 
 
-def test_a_new_recorder_is_distinguished_from_the_stopped_one(folder: Path) -> None:
+def test_a_new_recorder_is_distinguished_from_the_stopped_one(folder):
     kinds = ["recorder_stopped"]
     now_ns = time.monotonic_ns()
 
-    def look(process: int) -> tuple[RecorderStatus, str]:
+    def look(process):
         last = Beat(
             process=process, mono_ns=now_ns, deadline_s=1e6, doing="leaving", boot=boot_name(), stage="ended"
         )
@@ -235,7 +225,7 @@ def test_a_new_recorder_is_distinguished_from_the_stopped_one(folder: Path) -> N
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows renames no folder in which files are open")
-def test_the_recorder_of_a_moved_folder_is_silent(folder: Path) -> None:
+def test_the_recorder_of_a_moved_folder_is_silent(folder):
     context = Context(Settings(), folder)
     context.catalogue()
     folder.rename(folder.with_name("elsewhere"))

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -28,17 +26,21 @@ SETTINGS = Settings(
 class Bench:
     """Test in real time whose recorder is as `recorder` states; hour 0 is the epoch of UTC."""
 
-    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, folder, monkeypatch):
         self.catalogue = new_catalogue(folder)
         self.hour, self.clock, self.n_sets, self.process = 0.0, "wall", 0, 1
         self.status: RecorderStatus = "running"
         self.stage: Stage = ""
         monkeypatch.setattr("daq_service.processes.recorder_watch.Freshness", lambda *_: self.fresh())
         self.watch = RecorderWatch(
-            SETTINGS, folder, lambda: self.catalogue, machine=clock_in_seconds(lambda: 3600.0 * self.hour)
+            SETTINGS.schedule,
+            SETTINGS.clock.kind,
+            folder,
+            lambda: self.catalogue,
+            machine=clock_in_seconds(lambda: 3600.0 * self.hour),
         )
 
-    def fresh(self) -> SimpleNamespace:
+    def fresh(self):
         now_ns = round(self.hour * NS_PER_H)
         beat = Beat(process=self.process, mono_ns=now_ns, deadline_s=60.0, doing="waiting", stage=self.stage)
         recorder = SimpleNamespace(status=self.status, beat=beat, beat_age_s=0.0)
@@ -46,7 +48,7 @@ class Bench:
             recorder=recorder, clock=self.clock, epoch_utc_ns=0, now_utc_ns=now_ns, now_h=self.hour
         )
 
-    def store(self) -> None:
+    def store(self):
         """Store the scheduled set that ended at this hour."""
         self.n_sets += 1
         row = SetRow(
@@ -62,7 +64,7 @@ class Bench:
         )
         self.catalogue.commit_set(SetCommit(sets=[row]))
 
-    def run(self, hours: float, *, restarts_every_h: float = 1e9) -> None:
+    def run(self, hours, *, restarts_every_h=1e9):
         """Advance the time; the recorder is another process after each restart."""
         end_h, restart_h = self.hour + hours, self.hour + restarts_every_h
         while self.hour < end_h:
@@ -72,14 +74,14 @@ class Bench:
                 self.process, restart_h = self.process + 1, restart_h + restarts_every_h
         self.watch.check()
 
-    def alarms(self) -> list[tuple[str, str]]:
+    def alarms(self):
         """Return the kind of each event of the alarm, and its evidence."""
         rows = self.catalogue.rows(EventRow, topic="alarms")
         return [(row.kind, row.payload["message"].split(". ")[1].partition(" (")[0]) for row in rows]
 
 
 @pytest.fixture
-def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
+def bench(tmp_path, monkeypatch):
     made = Bench(tmp_path, monkeypatch)
     yield made
     made.catalogue.close()
@@ -88,7 +90,7 @@ def bench(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Bench]:
 RESTARTS, NO_SET = "3 restarts in 10 min", "No planned set stored for 2 intervals"
 
 
-def test_three_restarts_in_ten_minutes_raise_one_alarm_until_a_stored_set(bench: Bench) -> None:
+def test_three_restarts_in_ten_minutes_raise_one_alarm_until_a_stored_set(bench):
     bench.store()
     bench.run(0.3, restarts_every_h=LOOK_EVERY_H)
     assert bench.alarms() == [("alarm_raised", RESTARTS)]
@@ -101,7 +103,7 @@ def test_three_restarts_in_ten_minutes_raise_one_alarm_until_a_stored_set(bench:
     assert [kind for kind, _ in bench.alarms()] == ["alarm_raised", "alarm_cleared"]
 
 
-def test_rare_or_commanded_restarts_raise_no_alarm(bench: Bench) -> None:
+def test_rare_or_commanded_restarts_raise_no_alarm(bench):
     bench.store()
     bench.run(0.5, restarts_every_h=2.0 * LOOK_EVERY_H)
     bench.store()
@@ -110,7 +112,7 @@ def test_rare_or_commanded_restarts_raise_no_alarm(bench: Bench) -> None:
     assert bench.alarms() == []
 
 
-def test_a_recorder_that_fails_at_each_set_is_detected(bench: Bench) -> None:
+def test_a_recorder_that_fails_at_each_set_is_detected(bench):
     """The plug-in driver raises at the first shot of each set: one restart per interval."""
     bench.hour = 2.1
     bench.store()
@@ -121,7 +123,7 @@ def test_a_recorder_that_fails_at_each_set_is_detected(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize("state", ["not_responding", "stopped", "not_started"])
-def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: RecorderStatus) -> None:
+def test_a_recorder_that_does_not_run_is_detected(bench, state):
     bench.hour = 2.1
     bench.store()
     bench.status = state
@@ -129,12 +131,13 @@ def test_a_recorder_that_does_not_run_is_detected(bench: Bench, state: RecorderS
     assert bench.alarms() == [("alarm_raised", NO_SET)]
 
 
-def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
+def test_after_a_boot_the_recorder_has_time_to_start(bench):
     bench.hour = 0.1
     bench.store()
     bench.status, bench.hour = "not_responding", 9.0
     bench.watch = RecorderWatch(
-        SETTINGS,
+        SETTINGS.schedule,
+        SETTINGS.clock.kind,
         bench.watch._folder,
         lambda: bench.catalogue,
         machine=clock_in_seconds(lambda: 3600.0 * bench.hour),
@@ -146,25 +149,25 @@ def test_after_a_boot_the_recorder_has_time_to_start(bench: Bench) -> None:
     assert bench.alarms() == [("alarm_raised", NO_SET)]
 
 
-def pause(bench: Bench) -> None:
+def pause(bench):
     bench.catalogue.add_event(utc_ns=0, topic="service", kind="pause", payload={"held": "Ada: filling"})
 
 
-def finish(bench: Bench) -> None:
+def finish(bench):
     add_events(bench.catalogue, "schedule_done")
     bench.status = "finished"
 
 
-def simulate(bench: Bench) -> None:
+def simulate(bench):
     bench.clock = "simulated"
 
 
-def end(bench: Bench) -> None:
+def end(bench):
     bench.hour = END_H + 50.0
 
 
 @pytest.mark.parametrize("change", [pause, finish, simulate, end])
-def test_a_test_without_due_sets_raises_nothing(bench: Bench, change) -> None:
+def test_a_test_without_due_sets_raises_nothing(bench, change):
     bench.hour = 2.1
     bench.store()
     bench.status = "stopped"
@@ -173,7 +176,7 @@ def test_a_test_without_due_sets_raises_nothing(bench: Bench, change) -> None:
     assert bench.alarms() == []
 
 
-def test_a_waiting_recorder_raises_its_own_alarms(bench: Bench) -> None:
+def test_a_waiting_recorder_raises_its_own_alarms(bench):
     bench.run(3.0)
     bench.status = "not_responding"
     bench.run(MOST_INTERVALS * INTERVAL_H - 0.1)

@@ -182,7 +182,7 @@ def test_an_impossible_strike_command_is_rejected_with_its_reason(line, at, orde
     line.run()
     with line.catalogue() as catalogue:
         (command,) = catalogue.rows(CommandRow)
-    assert command.state == "refused"
+    assert command.state == "rejected"
     assert refused in command.result
     assert not confirmation_rows(line)
 

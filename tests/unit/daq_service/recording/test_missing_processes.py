@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from pathlib import Path
-
 import pytest
 from support.memory_line import Line
 
@@ -19,7 +16,6 @@ from daq_service.processes.heartbeat import (
     WEB_FILE,
     WEB_STARTS_WITHIN_S,
     Heartbeat,
-    Stage,
     WebWatch,
 )
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -28,13 +24,13 @@ from hardware_drivers.nanoseconds import NS_PER_S
 class Web:
     """Heartbeat file of a web service on a manual monotonic clock."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder, self.now_s = folder, 1000.0
 
-    def mono_ns(self) -> int:
+    def mono_ns(self):
         return round(self.now_s * NS_PER_S)
 
-    def beat(self, stage: Stage = "", boot: str | None = boot_name()) -> None:
+    def beat(self, stage="", boot: str | None = boot_name()):
         heartbeat = Heartbeat(
             self.folder,
             deadline_s=WEB_DEADLINE_S,
@@ -44,21 +40,21 @@ class Web:
         heartbeat.stage = stage
         heartbeat.beat("serving")
 
-    def watch(self) -> WebWatch:
+    def watch(self):
         return WebWatch(self.folder, machine=MachineClock(mono_ns=self.mono_ns))
 
-    def looks(self, watch: WebWatch, seconds: float) -> Iterator[bool | None]:
+    def looks(self, watch, seconds):
         for _ in range(round(seconds)):
             self.now_s += 1.0
             yield watch.is_missing()
 
 
 @pytest.fixture
-def web(tmp_path: Path) -> Web:
+def web(tmp_path):
     return Web(tmp_path)
 
 
-def test_a_service_that_stalls_is_missing_until_it_responds(web: Web) -> None:
+def test_a_service_that_stalls_is_missing_until_it_responds(web):
     watch = web.watch()
     web.beat()
     assert set(web.looks(watch, WEB_DEADLINE_S)) == {False}
@@ -68,7 +64,7 @@ def test_a_service_that_stalls_is_missing_until_it_responds(web: Web) -> None:
     assert next(web.looks(watch, 1.0)) is False
 
 
-def test_a_service_never_started_or_ended_in_order_is_not_missing(web: Web) -> None:
+def test_a_service_never_started_or_ended_in_order_is_not_missing(web):
     watch = web.watch()
     assert set(web.looks(watch, 2.0 * WEB_STARTS_WITHIN_S)) == {False}
     web.beat()
@@ -77,7 +73,7 @@ def test_a_service_never_started_or_ended_in_order_is_not_missing(web: Web) -> N
 
 
 @pytest.mark.parametrize("boot", [boot_name(), "another boot"])
-def test_a_service_older_than_the_recorder_has_time_to_return(web: Web, boot: str) -> None:
+def test_a_service_older_than_the_recorder_has_time_to_return(web, boot):
     web.beat(boot=boot)
     web.now_s += 10.0 * WEB_DEADLINE_S
     watch = web.watch()
@@ -85,7 +81,7 @@ def test_a_service_older_than_the_recorder_has_time_to_return(web: Web, boot: st
     assert list(web.looks(watch, 2.0))[-1] is True
 
 
-def test_a_wake_up_of_the_computer_reports_no_missing_service(web: Web) -> None:
+def test_a_wake_up_of_the_computer_reports_no_missing_service(web):
     watch = web.watch()
     web.beat()
     assert next(web.looks(watch, 1.0)) is False
@@ -98,15 +94,15 @@ def test_a_wake_up_of_the_computer_reports_no_missing_service(web: Web) -> None:
 class ScriptedWatch(WebWatch):
     """Callable that returns the items of a list, then always the last item."""
 
-    def __init__(self, folder: Path, *answers: bool | None) -> None:
+    def __init__(self, folder, *answers):
         super().__init__(folder)
         self.answers = list(answers)
 
-    def is_missing(self) -> bool | None:
+    def is_missing(self):
         return self.answers.pop(0) if len(self.answers) > 1 else self.answers[0]
 
 
-def events(line: Line) -> list[tuple[str, str]]:
+def events(line):
     with line.catalogue() as catalogue:
         rows = catalogue.rows(EventRow, topic="alarms")
     return [
@@ -114,7 +110,7 @@ def events(line: Line) -> list[tuple[str, str]]:
     ]
 
 
-def test_the_recorder_raises_and_clears_the_alarm_of_the_web_service(tmp_path: Path) -> None:
+def test_the_recorder_raises_and_clears_the_alarm_of_the_web_service(tmp_path):
     line = Line(tmp_path)
     assert line.run(web=ScriptedWatch(tmp_path, False, None, True, True, None, False, False))
     kind = "web_not_responding"
@@ -126,7 +122,7 @@ def test_the_recorder_raises_and_clears_the_alarm_of_the_web_service(tmp_path: P
     assert row.message.endswith("Read `logs/`, then restart `solimon serve`.")
 
 
-def raise_in_its_absence(line: Line) -> None:
+def raise_in_its_absence(line):
     with line.catalogue(writer=True) as catalogue:
         line.epoch_ns(catalogue)
         moment = Moment(utc_ns=0, due_h=0.0, set_index=None)
@@ -136,12 +132,12 @@ def raise_in_its_absence(line: Line) -> None:
 
 
 @pytest.mark.parametrize("when", ["before it starts", "while it runs"])
-def test_a_stored_set_clears_the_alarm_that_another_process_raised(tmp_path: Path, when: str) -> None:
+def test_a_stored_set_clears_the_alarm_that_another_process_raised(tmp_path, when):
     line = Line(tmp_path)
     if when == "before it starts":
         raise_in_its_absence(line)
 
-    def report(event: str, **values: object) -> None:
+    def report(event, **values):
         if when == "while it runs" and event == "begun":
             raise_in_its_absence(line)
 
@@ -152,10 +148,10 @@ def test_a_stored_set_clears_the_alarm_that_another_process_raised(tmp_path: Pat
     assert row.state == "returned_unacknowledged"
 
 
-def test_a_command_applies_to_the_alarm_of_another_process(tmp_path: Path) -> None:
+def test_a_command_applies_to_the_alarm_of_another_process(tmp_path):
     line = Line(tmp_path, script=lambda key: None)  # no set has records: the alarm stays
 
-    def report(event: str, **values: object) -> None:
+    def report(event, **values):
         if event == "begun":
             raise_in_its_absence(line)
 

@@ -1,16 +1,13 @@
 """A recorder that waits for its rig is running and raises an alarm; reasons of earlier missed sets."""
 
 import threading
-from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 from support.new_experiment import add_events, new_catalogue
 
 from daq_service.alarms.states import Moment
-from daq_service.catalogue import RecorderCatalogue, SetCommit
+from daq_service.catalogue import SetCommit
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.processes.data_folder import own_data_folder
@@ -29,19 +26,19 @@ WHY = f"the rig cannot be opened: {GONE}; the recorder tries again until it can"
 class Opener:
     """Recorder whose rig is missing a number of times, and its reports."""
 
-    def __init__(self, folder: Path, catalogue: RecorderCatalogue) -> None:
+    def __init__(self, folder, catalogue):
         self.folder, self.catalogue = folder, catalogue
         self.reports: list[tuple[str, str]] = []
         self.heartbeat = Heartbeat(folder, deadline_s=60.0)
         self.stop = threading.Event()
 
-    def hear(self, event: str, **values: Any) -> None:
+    def hear(self, event, **values):
         self.reports.append((event, values.get("why") or values["change"]))
 
-    def open(self, refusals: int, look: Callable[[], None] = lambda: None) -> tuple[Any, str]:
+    def open(self, refusals, look=lambda: None):
         left = [GONE] * refusals
 
-        def open_once() -> Any:
+        def open_once():
             look()
             if left:
                 raise left.pop()
@@ -60,21 +57,21 @@ class Opener:
         )
 
     @property
-    def alarms(self) -> list[AlarmRow]:
+    def alarms(self):
         return self.catalogue.rows(AlarmRow, kind="instruments_unavailable")
 
 
 @pytest.fixture
-def opener(tmp_path: Path) -> Iterator[Opener]:
+def opener(tmp_path):
     with new_catalogue(tmp_path) as catalogue, own_data_folder(tmp_path):
         add_events(catalogue, "recorder_started", "recorder_stopped")
         yield Opener(tmp_path, catalogue)
 
 
-def test_waiting_for_the_rig_is_running_and_raises_an_alarm_until_it_opens(opener: Opener) -> None:
+def test_waiting_for_the_rig_is_running_and_raises_an_alarm_until_it_opens(opener):
     seen: list[tuple[str, bool, int]] = []
 
-    def look() -> None:
+    def look():
         state = read_recorder_state(opener.folder, ["recorder_stopped"])
         seen.append((state.status, state.listens, len(opener.alarms)))
 
@@ -88,7 +85,7 @@ def test_waiting_for_the_rig_is_running_and_raises_an_alarm_until_it_opens(opene
     assert opener.heartbeat.stage == ""
 
 
-def test_an_active_alarm_is_not_raised_again_but_reported(opener: Opener) -> None:
+def test_an_active_alarm_is_not_raised_again_but_reported(opener):
     opener.stop.set()
     assert opener.open(9) == (None, f"the recorder waited for the rig: {GONE}")
     opener.stop.clear()
@@ -98,7 +95,7 @@ def test_an_active_alarm_is_not_raised_again_but_reported(opener: Opener) -> Non
     assert len(opener.alarms) == 1
 
 
-def test_an_opened_rig_does_not_clear_the_alarm_of_a_set(opener: Opener) -> None:
+def test_an_opened_rig_does_not_clear_the_alarm_of_a_set(opener):
     opener.stop.set()
     opener.open(1)
     (row,) = opener.alarms
@@ -108,7 +105,7 @@ def test_an_opened_rig_does_not_clear_the_alarm_of_a_set(opener: Opener) -> None
     assert [row.state for row in opener.alarms] == ["unacknowledged"]
 
 
-def beat(stage: Any, doing: str = "taking set 1") -> Beat:
+def beat(stage, doing="taking set 1"):
     return Beat(process=1, mono_ns=0, deadline_s=65.0, doing=doing, stage=stage)
 
 
@@ -126,16 +123,14 @@ STOPPED = "the recorder was stopped by its operator"
         ([], None, "the recorder was starting"),
     ],
 )
-def test_missed_sets_have_the_known_cause(
-    tmp_path: Path, kinds: list[str], found: Beat | None, cause: str
-) -> None:
+def test_missed_sets_have_the_known_cause(tmp_path, kinds, found, cause):
     with new_catalogue(tmp_path) as catalogue:
         add_events(catalogue, *kinds)
         assert cause in _why_not_running(catalogue, found, "")
         assert _why_not_running(catalogue, found, "was killed") == "the recorder was killed"
 
 
-def test_a_stop_while_waiting_for_the_rig_is_an_orderly_end(opener: Opener) -> None:
+def test_a_stop_while_waiting_for_the_rig_is_an_orderly_end(opener):
     add_events(opener.catalogue, "recorder_started")
     _store_stop(
         opener.catalogue,

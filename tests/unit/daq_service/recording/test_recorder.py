@@ -16,6 +16,7 @@ from daq_service.clock import SimulatedClock, parse_utc
 from daq_service.errors import RigError
 from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.recording.persistence import Persistence
+from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import StorageSettings
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ShotKey
@@ -792,3 +793,17 @@ def test_a_look_at_commands_comes_at_most_once_per_interval(line, monkeypatch, l
     assert line.run()
     assert 0 < len(polls) - 2 <= most  # the start and the end close what an earlier recorder left
     assert (len(polls) > 5) == (most > 2), "between shots too"
+
+
+def test_a_catalogue_that_cannot_be_read_before_a_set_does_not_end_the_test(line, undisturbed, monkeypatch):
+    adopt, failures = SetAssessor.adopt, iter([True] * 2)
+
+    def failing(assessor):
+        if next(failures, False):
+            raise CatalogueBusyError("database is locked")
+        adopt(assessor)
+
+    monkeypatch.setattr(SetAssessor, "adopt", failing)
+    assert line.run(mono_s=Seconds())
+    assert_same_rows(line, undisturbed)
+    assert next(failures, None) is None, "it was refused twice"

@@ -56,8 +56,8 @@ def test_a_transducer_with_a_refused_baseline_is_not_assessed(line):
 def test_a_baseline_without_limits_is_neither_approved_nor_used(line):
     with line.catalogue() as catalogue:
         answers = {row.kind: (row.state, row.result) for row in catalogue.rows(CommandRow)}
-    assert answers["approve_baseline"] == ("refused", f"the baseline of B has no limits: {REASON}")
-    assert answers["strike"] == ("refused", f"B has nothing to compare a set with: {REASON}")
+    assert answers["approve_baseline"] == ("rejected", f"the baseline of B has no limits: {REASON}")
+    assert answers["strike"] == ("rejected", f"B has nothing to compare a set with: {REASON}")
     assert answers["renew_baseline"][0] == "done"
 
 

@@ -277,7 +277,7 @@ def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
 def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
     line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
     with recorded(line, 2) as (ledger, again, records):
-        ledger.assessors.reinstate("D")
+        ledger.assessors.enable("D")
         ledger.commit(Transaction())
         assert restored_states(again)["D"] == bits(ledger.assessors["D"].state)
         assess_set(ledger, again, *records[2])

@@ -26,11 +26,11 @@ class Killed(BaseException):
 class Laboratory:
     """Line in memory on a machine's clock; each run is another process."""
 
-    def __init__(self, line: Line, machine: Machine) -> None:
+    def __init__(self, line, machine):
         self.line, self.machine = line, machine
         self.clock = machine.clock()
 
-    def run(self, *, cause: str = DOWN, stop: threading.Event | None = None) -> bool:
+    def run(self, *, cause=DOWN, stop=None):
         """Start a recorder as `session.record` does."""
         with self.line.catalogue(writer=True) as catalogue:
             self.line.epoch_ns(catalogue)
@@ -51,22 +51,22 @@ class Laboratory:
         self.machine.after(30.0, lambda: pytest.fail(f"still {self.doing}"))
         return self.line.run(cause=cause, clock=clock, stop=stop)
 
-    def killed_after(self, hours: float) -> None:
+    def killed_after(self, hours):
         """Run a recorder that is killed after some hours."""
 
-        def kill() -> None:
+        def kill():
             raise Killed
 
         self.machine.after(hours, kill)
         with pytest.raises(Killed):
             self.run()
 
-    def event_payloads(self, kind: str) -> list[dict]:
+    def event_payloads(self, kind):
         """Return the payloads of the events of a kind, in order."""
         return [row.payload for row in self.line.rows("events") if row.kind == kind]
 
     @property
-    def doing(self) -> str:
+    def doing(self):
         beat = read_heartbeat(self.line.folder)
         assert beat is not None
         return beat.doing

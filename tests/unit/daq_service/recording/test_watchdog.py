@@ -2,9 +2,7 @@
 
 import os
 import socket
-from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 
 import pytest
 from support.machine import NS_PER_S, Machine
@@ -26,11 +24,11 @@ HANGS_S = 10 * DEADLINE_S
 class Manager:
     """Service manager's end of the notify socket; records messages with the machine's time."""
 
-    def __init__(self, channel: socket.socket, machine: Machine) -> None:
+    def __init__(self, channel, machine):
         self.channel, self.machine = channel, machine
         self.heard: list[tuple[float, list[str]]] = []
 
-    def hear(self) -> None:
+    def hear(self):
         while True:
             try:
                 datagram = self.channel.recv(4096)
@@ -38,7 +36,7 @@ class Manager:
                 return
             self.heard.append((self.machine.elapsed_ns / NS_PER_S, datagram.decode().split("\n")))
 
-    def times_s(self, assignment: str) -> list[float]:
+    def times_s(self, assignment):
         return [at_s for at_s, lines in self.heard if assignment in lines]
 
 
@@ -47,13 +45,13 @@ class ListeningMachine(Machine):
 
     manager: Manager
 
-    def sleep(self, seconds: float) -> None:
+    def sleep(self, seconds):
         self.manager.hear()
         super().sleep(seconds)
 
 
 @pytest.fixture(params=["path", "abstract"])
-def manager(request, tmp_path, monkeypatch) -> Iterator[Manager]:
+def manager(request, tmp_path, monkeypatch):
     """Listen at a path, or at an abstract address (Linux)."""
     address = str(tmp_path / "notify") if request.param == "path" else f"@solimon-{os.getpid()}-{id(request)}"
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as channel:
@@ -69,11 +67,11 @@ def manager(request, tmp_path, monkeypatch) -> Iterator[Manager]:
         yield machine.manager
 
 
-def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tuple[str, str]]:
+def run(manager, folder, hang=None):
     """Run a line in real time on the manager's machine; return every event with its activity."""
     machine, events, hung = manager.machine, list[tuple[str, str]](), list[ShotKey]()
 
-    def script(key: ShotKey):
+    def script(key):
         manager.hear()
         if key == hang and not hung:
             hung.append(key)
@@ -82,7 +80,7 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
             manager.hear()  # messages sent meanwhile count as sent now
         return healthy(key)
 
-    def report(event: str, **values: object) -> None:
+    def report(event, **values):
         events.append((event, str(values.get("doing", ""))))
 
     settings = memory_settings(
@@ -104,7 +102,7 @@ def run(manager: Manager, folder: Path, hang: ShotKey | None = None) -> list[tup
     return events
 
 
-def test_each_beat_of_the_line_feeds_the_watchdog(manager: Manager, tmp_path: Path) -> None:
+def test_each_beat_of_the_line_feeds_the_watchdog(manager, tmp_path):
     events = run(manager, tmp_path)
     beats = [doing for event, doing in events if event == "beat"]
     (_, opening), (_, ready), *later, (_, stopping) = manager.heard
@@ -122,16 +120,14 @@ def test_each_beat_of_the_line_feeds_the_watchdog(manager: Manager, tmp_path: Pa
     assert max(after - before for before, after in pairwise(times_s)) <= DEADLINE_S
 
 
-def test_a_hanging_line_does_not_feed_the_watchdog(manager: Manager, tmp_path: Path) -> None:
+def test_a_hanging_line_does_not_feed_the_watchdog(manager, tmp_path):
     run(manager, tmp_path, hang=ShotKey(position="C", set_index=1, shot_index=2))
     gaps_s = [after - before for before, after in pairwise(manager.times_s("WATCHDOG=1"))]
     assert max(gaps_s) >= HANGS_S
     assert sum(gap_s > DEADLINE_S for gap_s in gaps_s) == 1
 
 
-def test_no_notification_is_sent_without_a_service_manager(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_notification_is_sent_without_a_service_manager(tmp_path, monkeypatch):
     monkeypatch.delenv("NOTIFY_SOCKET", raising=False)
     notify("WATCHDOG=1")
     monkeypatch.setenv("NOTIFY_SOCKET", str(tmp_path / "gone"))
@@ -139,7 +135,7 @@ def test_no_notification_is_sent_without_a_service_manager(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_the_activity_is_sent_in_one_line() -> None:
+def test_the_activity_is_sent_in_one_line():
     sent: list[tuple[str, ...]] = []
     with service_manager_notifications(
         lambda event, **values: None, lambda *lines: sent.append(lines)
@@ -152,9 +148,7 @@ def test_the_activity_is_sent_in_one_line() -> None:
     )
 
 
-def test_a_manager_of_another_program_is_sent_nothing(
-    manager: Manager, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_manager_of_another_program_is_sent_nothing(manager, monkeypatch):
     """A shell of a service (Jupyter, tmux) passes its notify socket on."""
     monkeypatch.setenv("SYSTEMD_EXEC_PID", "1")
     notify("STOPPING=1")

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from daq_service.cli.main import main
+from daq_service.cli.reproduce.item import Table
 from daq_service.cli.reproduce.output import csv_bytes
 from daq_service.cli.sweep.outputs import csv_text
 from daq_service.cli.terminal import ProgressReport
@@ -75,7 +76,7 @@ def test_no_spreadsheet_executes_a_text(text):
     page = {"text": [text, "a=1", None], "number": [-1.5, 2.0, None], "whole": [-3, 4, None]}
     exported = b"".join(FORMATS["csv"].write(SimpleNamespace(columns=columns), {}, [page])).decode()
     swept = csv_text(SimpleNamespace(columns={"text": [text], "number": np.array([-1.5])}))
-    reproduced = csv_bytes(SimpleNamespace(columns={"text": [text], "number": [-1.5]})).decode()
+    reproduced = csv_bytes(Table(columns={"text": [text], "number": [-1.5]})).decode()
     assert list(csv.reader(io.StringIO(exported, newline="")))[1:] == [
         [f"'{text}", "-1.5", "-3"],
         ["a=1", "2.0", "4"],

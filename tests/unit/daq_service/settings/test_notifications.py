@@ -1,7 +1,6 @@
 """Receivers and rules in the configuration: rejected values, and secrets that no error repeats."""
 
-from pathlib import Path
-from typing import Any, get_args
+from typing import get_args
 
 import pytest
 
@@ -15,7 +14,7 @@ DUTY = {"url": "https://alarms.example.org/hook", "secret_file": "duty.secret"}
 HIDDEN = "correct-horse-battery-staple"
 
 
-def settings(path: Path, receiver: dict[str, Any], **others: Any) -> Settings:
+def settings(path, receiver, **others):
     values = {"notifications": {"receivers": {"duty": receiver}, **others}}
     return checked_settings(values, path / "test.toml")
 

@@ -1,5 +1,4 @@
 import json
-from pathlib import Path
 
 import pytest
 
@@ -10,22 +9,22 @@ from daq_service.settings.stored import differences
 from daq_service.settings.tree import Settings
 
 
-def write(folder: Path, text: str, name: str = "test.toml") -> Path:
+def write(folder, text, name="test.toml"):
     path = folder / name
     path.write_text(text, encoding="utf-8")
     return path
 
 
-def test_the_shipped_file_spells_out_the_defaults() -> None:
+def test_the_shipped_file_spells_out_the_defaults():
     assert load_settings(config_file("simulated.toml")) == Settings()
 
 
-def test_the_shipped_schema_is_current() -> None:
+def test_the_shipped_schema_is_current():
     shipped = json.loads(config_file("settings.schema.json").read_text(encoding="utf-8"))
     assert shipped == settings_schema(), "renew it by json.dumps(settings_schema(), indent=1)"
 
 
-def test_every_key_is_described() -> None:
+def test_every_key_is_described():
     schema = settings_schema()
     bare = [
         f"{section}.{key}"
@@ -36,7 +35,7 @@ def test_every_key_is_described() -> None:
     assert bare == []
 
 
-def test_a_position_inherits_the_common_tables_and_may_differ(tmp_path: Path) -> None:
+def test_a_position_inherits_the_common_tables_and_may_differ(tmp_path):
     path = write(
         tmp_path,
         """
@@ -51,7 +50,7 @@ def test_a_position_inherits_the_common_tables_and_may_differ(tmp_path: Path) ->
     assert (chain.drop_height_m, chain.spheres_below, chain.spheres_above) == (4e-3, 6, 4)
 
 
-def test_spheres_that_differ_are_an_array_of_tables(tmp_path: Path) -> None:
+def test_spheres_that_differ_are_an_array_of_tables(tmp_path):
     path = write(
         tmp_path, "[[chain.spheres]]\nbody = 2\nlast_body = 3\nradius_m = 7e-3\n[[chain.spheres]]\nbody = 8\n"
     )
@@ -89,7 +88,7 @@ def test_spheres_that_differ_are_an_array_of_tables(tmp_path: Path) -> None:
         ("[chain", ["not valid toml"]),
     ],
 )
-def test_a_refusal_names_file_key_value_and_remedy(tmp_path: Path, text: str, fragments: list[str]) -> None:
+def test_a_refusal_names_file_key_value_and_remedy(tmp_path, text, fragments):
     path = write(tmp_path, text)
     with pytest.raises(UsageError) as refusal:
         load_settings(path)
@@ -98,43 +97,43 @@ def test_a_refusal_names_file_key_value_and_remedy(tmp_path: Path, text: str, fr
     assert refusal.value.exit_code == 2
 
 
-def test_an_inherited_error_is_reported_once(tmp_path: Path) -> None:
+def test_an_inherited_error_is_reported_once(tmp_path):
     with pytest.raises(UsageError) as refusal:
         load_settings(write(tmp_path, "[chain]\nmass_kg = -1"))
     assert str(refusal.value).count("mass_kg") == 1
 
 
-def test_a_missing_file_is_named(tmp_path: Path) -> None:
+def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(UsageError, match=r"absent\.toml"):
         load_settings(tmp_path / "absent.toml")
 
 
-def test_bytes_that_are_no_text_are_refused(tmp_path: Path) -> None:
+def test_bytes_that_are_no_text_are_refused(tmp_path):
     path = tmp_path / "test.toml"
     path.write_bytes(b"\xff\xfe\x00")
     with pytest.raises(UsageError, match="UTF-8"):
         load_settings(path)
 
 
-def test_the_environment_overrides_the_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_environment_overrides_the_file(tmp_path, monkeypatch):
     monkeypatch.setenv("SOLIMON_TWIN__SEED", "42")
     settings = load_settings(write(tmp_path, "[twin]\nseed = 3\n[twin.scatter]\nscale = 2.0"))
     assert (settings.twin.seed, settings.twin.scatter.scale) == (42, 2.0)
 
 
-def test_a_misspelt_variable_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_misspelt_variable_is_refused(monkeypatch):
     monkeypatch.setenv("SOLIMON_CHIAN__MASS_KG", "1")
     with pytest.raises(UsageError, match=r"SOLIMON_CHIAN__MASS_KG.*did you mean SOLIMON_CHAIN\?"):
         load_settings(None)
 
 
-def test_a_written_configuration_is_read_back_as_the_same(tmp_path: Path) -> None:
+def test_a_written_configuration_is_read_back_as_the_same(tmp_path):
     settings = load_settings(None, overrides={"twin": {"seed": 9}, "schedule": {"end_h": 30.0}})
     path = write(tmp_path, settings.model_dump_json(), "configuration.json")
     assert load_settings(path) == settings
 
 
-def test_the_hash_depends_only_on_settings_that_affect_the_data() -> None:
+def test_the_hash_depends_only_on_settings_that_affect_the_data():
     same = load_settings(
         None,
         overrides={
@@ -149,10 +148,10 @@ def test_the_hash_depends_only_on_settings_that_affect_the_data() -> None:
     assert other.configuration_hash() != Settings().configuration_hash()
 
 
-def test_without_a_holdoff_a_rig_has_the_hash_it_had_before_there_was_one() -> None:
+def test_without_a_holdoff_a_rig_has_the_hash_it_had_before_there_was_one():
     boards = {"transducers": {"B": {"board_serial": "01A2B3C4"}}}
 
-    def settings_with(**changes: float) -> Settings:
+    def settings_with(**changes):
         rig = {"kind": "daqmx", "daqmx": {**boards, **changes}}
         return Settings(rig=rig, positions={"B": {"method": "solitary_wave"}}, clock={"kind": "wall"})
 
@@ -174,7 +173,7 @@ def test_a_fault_of_a_position_that_strikes_nothing_is_refused(position):
         Settings(twin={"faults": {position: {"missed": {"probability": 0.5}}}})
 
 
-def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path: Path) -> None:
+def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path):
     schedule = "[schedule]\nshots_per_set = 10\nshot_interval_s = {interval}\n[[schedule.phases]]\n"
     phase = "until_h = 10.0\ninterval_h = 0.05\n"
     # 3 transducers, 10 strikes of each: 29 intervals, and 180 s from set to set.
@@ -210,14 +209,12 @@ def test_sets_that_overlap_are_refused_with_the_numbers(tmp_path: Path) -> None:
         ),
     ],
 )
-def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(
-    kinds, message, tmp_path
-) -> None:
+def test_delays_that_an_alarm_may_not_have_are_refused_with_value_and_remedy(kinds, message, tmp_path):
     with pytest.raises(UsageError, match=message):
         checked_settings({"alarms": {"kinds": kinds}}, tmp_path / "test.toml")
 
 
-def test_alarm_delays_do_not_change_the_configuration_hash() -> None:
+def test_alarm_delays_do_not_change_the_configuration_hash():
     """They may be changed during a test, as the measurements stay the same."""
     kinds = {"thickness_low": {"on_delay_s": 7200.0, "dead_band_fraction": 0.2}}
     settings = load_settings(None, overrides={"alarms": {"kinds": kinds}})

@@ -14,8 +14,8 @@ from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import EventRow
 from daq_service.catalogue.writer import payload_of
 from daq_service.processes.data_folder import BACKUP_FILE
+from daq_service.processes.notifications import webhook
 from daq_service.processes.notifications.delivery_log import LOG_FILE
-from daq_service.processes.notifications.webhook import Bounds
 
 SECRET = "correct-horse-battery-staple"
 STATE = "/api/v1/notifications"
@@ -138,8 +138,8 @@ def test_a_backup_sends_no_notifications(filled, receiver):
 
 def test_a_receiver_that_never_answers_slows_no_other_and_no_end(tmp_path, receiver, monkeypatch):
     """Its timeout is longer than all waits of this test: any delay would fail the test."""
-    patient = Bounds(read_s=10.0 * WAIT_S, total_s=10.0 * WAIT_S)
-    monkeypatch.setattr("daq_service.processes.notifications.service.Bounds", lambda: patient)
+    for limit in ("READ_WITHIN_S", "ANSWER_WITHIN_S"):
+        monkeypatch.setattr(webhook, limit, 10.0 * WAIT_S)
     with http_receiver() as deaf, ExitStack() as stack:
         deaf.silent.set()
         named = {

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from contextlib import ExitStack
-from pathlib import Path
 
 import pytest
-from support.filled_folder import FilledFolder, filled_folder
-from support.receivers import HttpReceiver, http_receiver
+from support.filled_folder import filled_folder
+from support.receivers import http_receiver
 from support.reported_alarms import notifying
 from support.served_web import served
 from support.waiting import until
@@ -24,7 +22,7 @@ ME = f"process {os.getpid()}"
 
 
 @pytest.fixture
-def receiver(monkeypatch: pytest.MonkeyPatch) -> Iterator[HttpReceiver]:
+def receiver(monkeypatch):
     monkeypatch.setenv("DUTY_SECRET", "correct-horse-battery-staple")
     monkeypatch.setattr(service, "LOOK_EVERY_S", 0.01)
     with http_receiver() as running:
@@ -32,7 +30,7 @@ def receiver(monkeypatch: pytest.MonkeyPatch) -> Iterator[HttpReceiver]:
 
 
 @pytest.fixture
-def filled(tmp_path: Path, receiver: HttpReceiver) -> Iterator[FilledFolder]:
+def filled(tmp_path, receiver):
     settings = notifying(
         {"duty": {"url": receiver.url, "secret_env": "DUTY_SECRET"}}, rules=[{"group_s": 0.0}]
     )
@@ -40,24 +38,22 @@ def filled(tmp_path: Path, receiver: HttpReceiver) -> Iterator[FilledFolder]:
         yield folder
 
 
-def beat(folder: Path, *, deadline_s: float) -> None:
+def beat(folder, *, deadline_s):
     Heartbeat(folder, deadline_s=deadline_s, file=WEB_FILE).beat("serving")
 
 
-def alarm(filled: FilledFolder, receiver: HttpReceiver, kind: str) -> list[str]:
+def alarm(filled, receiver, kind):
     """Raise an alarm; return the kinds in the next message."""
     filled.add_alarm("B", 0, kind=kind, message=f"{kind} is there")
     return [item["kind"] for item in receiver.next().message["alarms"]]
 
 
-def test_the_web_service_and_the_standby_process_continue_each_other(
-    filled: FilledFolder, receiver: HttpReceiver
-) -> None:
+def test_the_web_service_and_the_standby_process_continue_each_other(filled, receiver):
     with standing_by(filled.settings, filled.folder, monitors_recorder=False):
         until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
         with served(filled.settings, filled.folder) as web, web.client() as client:
 
-            def sends() -> bool:
+            def sends():
                 found = client.get("/api/v1/notifications").json()
                 return bool(found["sending"] and found["receivers"][0]["began"])
 
@@ -70,7 +66,7 @@ def test_the_web_service_and_the_standby_process_continue_each_other(
 
 
 @pytest.mark.skipif(os.name == "nt", reason="Windows keeps the name of an open file")
-def test_a_stopped_web_service_holds_no_message_back(filled: FilledFolder, receiver: HttpReceiver) -> None:
+def test_a_stopped_web_service_holds_no_message_back(filled, receiver):
     """Its process is alive and keeps the lock of the delivery log."""
     beat(filled.folder, deadline_s=0.0)
     with hold_lock(filled.folder, service.LOCK_FILE, ME, who="process"), ExitStack() as stack:
@@ -79,7 +75,7 @@ def test_a_stopped_web_service_holds_no_message_back(filled: FilledFolder, recei
         assert alarm(filled, receiver, "no_reflection") == ["no_reflection"]
 
 
-def test_a_process_that_lost_the_lock_stops_sending(filled: FilledFolder, receiver: HttpReceiver) -> None:
+def test_a_process_that_lost_the_lock_stops_sending(filled, receiver):
     """This is a web service that continues after it was stopped for long."""
     with served(filled.settings, filled.folder) as web, web.client() as client:
         until(lambda: client.get("/api/v1/notifications").json()["receivers"][0]["began"], "its line")

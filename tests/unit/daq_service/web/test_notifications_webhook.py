@@ -19,7 +19,7 @@ from daq_service.errors import UsageError
 from daq_service.processes.notifications.addresses import Address, address_of, refuse_unusable, shown_address
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
 from daq_service.processes.notifications.messages import Message
-from daq_service.processes.notifications.webhook import LONGEST_RETRY_AFTER_S, Bounds, Cut, post
+from daq_service.processes.notifications.webhook import LONGEST_RETRY_AFTER_S, Cut, post
 from daq_service.settings.notifications import ReceiverSettings
 
 TLS = Path(__file__).parents[3] / "fixtures" / "tls"
@@ -27,8 +27,13 @@ SECRET = "correct-horse-battery-staple"
 MESSAGE = Message(
     key="abc.duty.7", kind="test", title="Prüfung", text="Nothing is wrong.", facts={"test": "t"}
 )
-SOON = Bounds(connect_s=5.0, read_s=30.0, total_s=0.2)
-"""Only the whole time may run out."""
+
+
+@pytest.fixture
+def soon(monkeypatch):
+    """Let only the total time run out."""
+    monkeypatch.setattr("daq_service.processes.notifications.webhook.READ_WITHIN_S", 30.0)
+    monkeypatch.setattr("daq_service.processes.notifications.webhook.ANSWER_WITHIN_S", 0.2)
 
 
 @pytest.fixture
@@ -91,12 +96,12 @@ def test_redirects_are_not_followed(receiver):
         assert elsewhere.got.empty()
 
 
-def test_a_silent_receiver_is_given_up_after_the_time_limit(receiver):
+def test_a_silent_receiver_is_given_up_after_the_time_limit(receiver, soon):
     receiver.silent.set()
-    assert send(receiver, bounds=SOON).description == "no answer within 0.2 s"
+    assert send(receiver).description == "no answer within 0.2 s"
 
 
-def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit():
+def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit(soon):
     """Each byte is in time; only the total time limit ends it."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
         left = threading.Event()
@@ -112,7 +117,7 @@ def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit():
 
         thread = threading.Thread(target=drip)
         thread.start()
-        outcome = post(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE, bounds=SOON)
+        outcome = post(Address(f"http://127.0.0.1:{listener.getsockname()[1]}/", b"s"), MESSAGE)
         left.set()
         thread.join()
     assert outcome.description == "no answer within 0.2 s"

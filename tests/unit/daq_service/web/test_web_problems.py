@@ -172,7 +172,7 @@ def test_a_corrupt_catalogue_is_reported_and_not_shown(tmp_path):
 def test_an_internal_error_hides_its_details(tmp_path, caplog):
     app = create_app(Settings(), tmp_path)
 
-    async def broken() -> None:
+    async def broken():
         raise RuntimeError("secret detail")
 
     app.add_api_route("/broken", broken)

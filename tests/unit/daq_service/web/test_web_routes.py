@@ -178,10 +178,10 @@ def test_the_supply_state_is_that_of_its_process_with_its_age(api, filled):
     assert now.pop("written_age_s") >= 0.0
     assert now == {
         "state": "unknown",
-        "quality": "lost",
+        "quality": "no_communication",
         "last": "off",
         "tripped": "hole at B",
-        "unwatched": False,
+        "watchdog_trip": False,
         "switch_off_pending": False,
         "process": False,
     }

@@ -10,11 +10,8 @@ import pytest
 from pydantic import BaseModel, ConfigDict
 from support.broken_instruments import (
     KEYS,
-    LeavesTheCoilOn,
     SoundDigitizer,
     SoundStriker,
-    StaysArmedAfterReading,
-    StaysArmedAfterTimeout,
 )
 from support.offered_kinds import offer
 
@@ -111,18 +108,6 @@ class RaisesTheVendorsError(Digitizer):
 class StaysArmedWhenUnplugged(Digitizer):
     def require_cable(self):
         self.cable.require()
-
-
-class StaysArmedAfterARecord(StaysArmedAfterReading, Digitizer):
-    pass
-
-
-class StaysArmedWithoutAStrike(StaysArmedAfterTimeout, Digitizer):
-    pass
-
-
-class ForgetsTheCoil(LeavesTheCoilOn, Striker):
-    pass
 
 
 class LeavesTheCoilOnWhenUnplugged(Striker):
@@ -296,19 +281,6 @@ def test_a_sound_instrument_keeps_every_rule(prove):
             ],
         ),
         ({"digitizer": StaysArmedWhenUnplugged}, ["after an error nothing is armed[unplugged]"]),
-        (
-            {"digitizer": StaysArmedAfterARecord},
-            ["reading disarms", "records of one position have one shape and calibration"],
-        ),
-        ({"digitizer": StaysArmedWithoutAStrike}, ["no strike times out and disarms"]),
-        (
-            {"striker": ForgetsTheCoil},
-            [
-                "it is safe after an interruption",
-                "a strike is one pulse of its own coil",
-                "making safe is never a pulse",
-            ],
-        ),
         ({"striker": LeavesTheCoilOnWhenUnplugged}, ["after an error every coil is off[unplugged]"]),
     ],
     ids=lambda given: (

@@ -4,12 +4,11 @@ import json
 import sys
 import time
 import tomllib
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PureWindowsPath
 from types import SimpleNamespace
-from typing import Any, cast
+from typing import cast
 
 import pytest
 from support.small_experiment import run, small_settings
@@ -43,14 +42,14 @@ PACKAGES = [
 ]
 
 
-def by_name(checks: Sequence[Check]) -> dict[str, Check]:
+def by_name(checks):
     return {check.name: check for check in checks}
 
 
 # The checks themselves ------------------------------------------------------------------------------
 
 
-def check(area: Any, state: Any) -> Check:
+def check(area, state):
     return Check(area, "it", state, "something", "fix it")
 
 
@@ -64,15 +63,15 @@ def check(area: Any, state: Any) -> Check:
         ([check("rig", "fail"), check("recorder", "fail")], 5),
     ],
 )
-def test_the_worst_area_gives_the_exit_code(checks: list[Check], code: int) -> None:
+def test_the_worst_area_gives_the_exit_code(checks, code):
     assert exit_code(checks) == code
 
 
-def test_a_passed_check_has_no_remedy() -> None:
+def test_a_passed_check_has_no_remedy():
     assert Check("rig", "coils", "ok", "cool", "let them cool").remedy == ""
 
 
-def test_a_failed_check_needs_a_remedy() -> None:
+def test_a_failed_check_needs_a_remedy():
     with pytest.raises(ValueError, match="needs a remedy"):
         Check("rig", "it", "warn", "something")
 
@@ -80,21 +79,21 @@ def test_a_failed_check_needs_a_remedy() -> None:
 # Software -------------------------------------------------------------------------------------------
 
 
-def test_the_packages_of_this_environment_pass() -> None:
+def test_the_packages_of_this_environment_pass():
     checks = by_name(software_checks(PACKAGES))
     assert {check.state for check in checks.values()} == {"ok"}
     assert checks["numpy"].found == f"{version('numpy')} (at least 2.0)"
     assert {"nidaqmx", "niscope", "pyserial"} <= set(checks)
 
 
-def test_a_rig_without_boards_needs_no_board_packages() -> None:
+def test_a_rig_without_boards_needs_no_board_packages():
     (twin,) = instruments_of(Settings())
     assert list(twin.kind.packages(twin.parameters)) == []
     assert not {"nidaqmx", "niscope", "pyserial", "grpcio"} & set(by_name(software_checks(())))
 
 
-def test_a_missing_and_an_old_package_have_a_remedy() -> None:
-    def installed(name: str) -> str:
+def test_a_missing_and_an_old_package_have_a_remedy():
+    def installed(name):
         if name in ("niscope", "picosdk"):
             raise PackageNotFoundError(name)
         return {"nidaqmx": "0.9.0", "numpy": "1.26.4"}.get(name, "99.0")
@@ -109,8 +108,8 @@ def test_a_missing_and_an_old_package_have_a_remedy() -> None:
     assert failing == {"niscope", "nidaqmx", "numpy", "picosdk"}
 
 
-def test_a_package_that_does_not_load_is_named() -> None:
-    def load(name: str) -> None:
+def test_a_package_that_does_not_load_is_named():
+    def load(name):
         if name == "numba":
             raise OSError("libLLVM: cannot open shared object file")
 
@@ -130,8 +129,8 @@ GUID des Energieschemas: 381b4222-f694-41f0-9685-ff5bb260df2e  (Ausbalanciert)
 """
 
 
-def answers(**by_program: str | None) -> Any:
-    def ask(command: Sequence[str]) -> str | None:
+def answers(**by_program):
+    def ask(command):
         return by_program.get(command[0].replace("-", "_"))
 
     return ask
@@ -155,7 +154,7 @@ def answers(**by_program: str | None) -> Any:
         ("darwin", {}, "warn"),
     ],
 )
-def test_the_clock_check_has_state_and_source(system: str, answer: dict[str, str], state: str) -> None:
+def test_the_clock_check_has_state_and_source(system, answer, state):
     found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))[
         "clock synchronised"
     ]
@@ -175,20 +174,20 @@ def test_the_clock_check_has_state_and_source(system: str, answer: dict[str, str
         ("win32", {}, "warn"),
     ],
 )
-def test_the_sleep_check_follows_the_power_settings(system: str, answer: dict[str, str], state: str) -> None:
+def test_the_sleep_check_follows_the_power_settings(system, answer, state):
     found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))["sleep"]
     assert found.state == state
     assert ("unknown" in found.found) == (not answer)
 
 
-def test_the_sleep_check_names_the_settings() -> None:
+def test_the_sleep_check_names_the_settings():
     ask = answers(systemctl="static", busctl='s "suspend"')
     found = by_name(machine_checks("wall", FOLDER, ask=ask, system="linux"))["sleep"]
     assert "not switched off (systemctl, IdleAction of logind is suspend)" in found.found
 
 
-def test_a_computer_that_hibernates_sleeps_too() -> None:
-    def ask(command: Sequence[str]) -> str | None:
+def test_a_computer_that_hibernates_sleeps_too():
+    def ask(command):
         hibernates = "0x00000e10" if command[-1] == "HIBERNATEIDLE" else "0x00000000"
         return ON_BATTERY_AND_MAINS.format(mains=hibernates) if command[0] == "powercfg" else None
 
@@ -217,9 +216,7 @@ KEY = r"HKEY_LOCAL_MACHINE\SOFTWARE\Policies\Microsoft\Windows\WindowsUpdate\AU"
         ("darwin", {}, None, None),
     ],
 )
-def test_the_update_check_follows_the_restart_settings(
-    system: str, answer: dict[str, str], restarts: bool | None, waits: bool | None
-) -> None:
+def test_the_update_check_follows_the_restart_settings(system, answer, restarts, waits):
     found = by_name(machine_checks("wall", FOLDER, ask=answers(**answer), system=system))["updates"]
     assert (found.values["restart_by_themselves"], found.values["restart_waits"]) == (restarts, waits)
     assert found.state == ("ok" if restarts is False and not waits else "warn")
@@ -245,9 +242,7 @@ HIDDEN = "True\nN/A: Must be an administrator to view exclusions"
         ("darwin", {}, None, "not asked"),
     ],
 )
-def test_the_scanner_check_follows_the_exclusions(
-    system: str, answer: dict[str, str], left_alone: bool | None, message: str
-) -> None:
+def test_the_scanner_check_follows_the_exclusions(system, answer, left_alone, message):
     folder = cast(Path, PureWindowsPath("C:\\Lab\\Data")) if system == "win32" else FOLDER
     found = by_name(machine_checks("wall", folder, ask=answers(**answer), system=system))["antivirus"]
     assert (found.values["data_folder_left_alone"], message in found.found) == (left_alone, True)
@@ -255,14 +250,14 @@ def test_the_scanner_check_follows_the_exclusions(
     assert str(folder) in found.remedy or found.state == "ok"
 
 
-def test_on_simulated_time_computer_checks_are_skipped() -> None:
+def test_on_simulated_time_computer_checks_are_skipped():
     checks = by_name(machine_checks("simulated", FOLDER, ask=answers(), system="linux"))
     skipped = {name for name, one in checks.items() if one.state == "skipped"}
     assert skipped == {"clock synchronised", "sleep", "updates", "antivirus"}
 
 
 @pytest.mark.parametrize(("step_s", "state"), [(0.0, "ok"), (3600.0, "warn"), (-2.0, "warn")])
-def test_a_clock_step_during_the_check_is_detected(step_s: float, state: str) -> None:
+def test_a_clock_step_during_the_check_is_detected(step_s, state):
     checks = machine_checks(
         "simulated",
         FOLDER,
@@ -272,7 +267,7 @@ def test_a_clock_step_during_the_check_is_detected(step_s: float, state: str) ->
     assert by_name(checks)["monotonic clock"].state == state
 
 
-def test_a_missing_or_failing_program_gives_no_answer() -> None:
+def test_a_missing_or_failing_program_gives_no_answer():
     assert ask_system(["solimon-no-such-program"]) is None
     assert ask_system([sys.executable, "-c", "raise SystemExit(1)"]) is None
     assert ask_system([sys.executable, "-c", "print('masked'); raise SystemExit(1)"]) == "masked"
@@ -285,7 +280,7 @@ AMPLE = dict.fromkeys(("warn_free_fraction", "alarm_free_fraction", "stop_free_f
 """However full this machine's volume is."""
 
 
-def test_a_new_folder_passes_and_is_not_created(tmp_path: Path) -> None:
+def test_a_new_folder_passes_and_is_not_created(tmp_path):
     folder = tmp_path / "a" / "b"
     checks = by_name(storage_checks(Settings(storage=AMPLE), folder))
     assert {item.state for item in checks.values()} == {"ok"}
@@ -293,7 +288,7 @@ def test_a_new_folder_passes_and_is_not_created(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == [], "the probe is gone, the folder was not made"
 
 
-def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path: Path) -> None:
+def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path):
     settings = small_settings(schedule={"end_h": 1.0}, storage=AMPLE)
     assert run(settings, tmp_path)
     checks = by_name(storage_checks(settings, tmp_path))
@@ -312,7 +307,7 @@ def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path: Path) -> Non
     assert "belongs to the experiment" in other["data folder: configuration"].found
 
 
-def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path: Path) -> None:
+def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path):
     settings = small_settings(schedule={"end_h": 1.0})
     assert run(settings, tmp_path)
     for name in ("catalogue.sqlite", "experiment.json", "history.jsonl"):
@@ -329,9 +324,7 @@ def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("free", "state"), [(10 * 10**9, "ok"), (600 * 10**6, "warn"), (300 * 10**6, "fail")]
 )
-def test_the_disk_is_compared_with_the_plan(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, state: str
-) -> None:
+def test_the_disk_is_compared_with_the_plan(tmp_path, monkeypatch, free, state):
     class Usage:
         total = 10_000_000_000
 
@@ -354,9 +347,7 @@ def test_confirmation_sets_are_forecast_as_an_upper_bound():
 
 
 @pytest.mark.parametrize(("free", "state"), [(210, "ok"), (190, "warn"), (90, "warn"), (49, "fail")])
-def test_a_full_volume_is_reported_even_if_the_test_would_fit(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, free: int, state: str
-) -> None:
+def test_a_full_volume_is_reported_even_if_the_test_would_fit(tmp_path, monkeypatch, free, state):
     usage = SimpleNamespace(free=free * 10**9, total=10**12)
     monkeypatch.setattr("daq_service.processes.disk_policy.shutil.disk_usage", lambda place: usage)
     assert by_name(storage_checks(Settings(), tmp_path))["disk: space"].state == state
@@ -365,7 +356,7 @@ def test_a_full_volume_is_reported_even_if_the_test_would_fit(
 # Owner ----------------------------------------------------------------------------------------------
 
 
-def recorder_error(folder: Path) -> str:
+def recorder_error(folder):
     """Run a recorder that takes the folder and ends; return its error if the folder is in use."""
     try:
         with own_data_folder(folder, patience_s=0.0):
@@ -374,15 +365,13 @@ def recorder_error(folder: Path) -> str:
         return str(error)
 
 
-def test_no_recorder_starts_while_the_doctor_strikes(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_no_recorder_starts_while_the_doctor_strikes(tmp_path, capsys, monkeypatch):
     folder = tmp_path / "data"
     prepare_data_folder(folder)
     assert recorder_error(folder) == "", "a recorder was here"
     seen = []
 
-    def striking(settings: Settings, position: str) -> Trial:
+    def striking(settings, position):
         seen.append(recorder_error(folder))
         return Trial(position=position, checks=())
 
@@ -393,16 +382,14 @@ def test_no_recorder_starts_while_the_doctor_strikes(
     assert recorder_error(folder) == ""
 
 
-def test_a_restarted_recorder_finds_its_folder_unlocked_during_the_doctor(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_restarted_recorder_finds_its_folder_unlocked_during_the_doctor(tmp_path, capsys, monkeypatch):
     """With a locked folder it would end with a final exit code, and its supervisor would end the test."""
     folder = tmp_path / "data"
     prepare_data_folder(folder)
     assert recorder_error(folder) == "", "a recorder was here"
     seen = []
 
-    def looking(*arguments: object, **driven: bool) -> list[Check]:
+    def looking(*arguments, **driven):
         seen.append(recorder_error(folder))
         return []
 
@@ -412,21 +399,19 @@ def test_a_restarted_recorder_finds_its_folder_unlocked_during_the_doctor(
     assert seen == [""]
 
 
-def test_an_unreadable_lock_counts_as_a_running_recorder(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_unreadable_lock_counts_as_a_running_recorder(tmp_path, monkeypatch):
     """It may be the recorder of another user, whose boards must not be used."""
     prepare_data_folder(tmp_path)
     (tmp_path / "recorder.lock").touch()
 
-    def forbidden(folder: Path, **patience: float) -> None:
+    def forbidden(folder, **patience):
         raise PermissionError(13, "Permission denied")
 
     monkeypatch.setattr("daq_service.cli.doctor.storage.own_data_folder", forbidden)
     assert "(Permission denied); look as the user that runs the recorder" in owner_of(tmp_path)
 
 
-def test_a_folder_without_a_recorder_is_left_unchanged(tmp_path: Path) -> None:
+def test_a_folder_without_a_recorder_is_left_unchanged(tmp_path):
     with held_folder(tmp_path) as owner:
         assert owner == ""
     assert list(tmp_path.iterdir()) == []
@@ -445,7 +430,7 @@ class SurveyResult:
     noise_rms_v: dict[str, float] = field(default_factory=dict)
 
 
-def checks_by_name(found: SurveyResult, *, shot_interval_s: float = 4.0) -> dict[str, Check]:
+def checks_by_name(found, *, shot_interval_s=4.0):
     assert LABORATORY.daqmx is not None
     seen = board_findings(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s)
     return by_name([check_of_finding(finding) for finding in seen])
@@ -454,16 +439,16 @@ def checks_by_name(found: SurveyResult, *, shot_interval_s: float = 4.0) -> dict
 @pytest.mark.parametrize(
     ("version", "state"), [("24.8.0", "ok"), ("20.1.0", "ok"), ("20.0.0", "fail"), ("9.5", "fail")]
 )
-def test_the_driver_s_version_is_compared_by_numbers(version: str, state: str) -> None:
+def test_the_driver_s_version_is_compared_by_numbers(version, state):
     found = checks_by_name(SurveyResult(driver_version=version))["driver: version"]
     assert (found.state, found.found) == (state, f"NI-DAQmx {version} (at least 20.1)")
 
 
-def test_a_driver_that_was_not_reached_has_no_version() -> None:
+def test_a_driver_that_was_not_reached_has_no_version():
     assert "driver: version" not in checks_by_name(SurveyResult(driver_version=""))
 
 
-def test_a_faulty_board_of_another_program_is_no_failure() -> None:
+def test_a_faulty_board_of_another_program_is_no_failure():
     broken = {"check": "answers", "state": "fail", "detail": "it does not answer"}
     checks = checks_by_name(
         SurveyResult(
@@ -478,21 +463,21 @@ def test_a_faulty_board_of_another_program_is_no_failure() -> None:
     assert "faults-daqmx.md" in checks["board FFFFFFFF: answers"].remedy, "the driver named none"
 
 
-def test_settings_accepted_by_a_board_are_reported_with_units() -> None:
+def test_settings_accepted_by_a_board_are_reported_with_units():
     finding = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
     assert checks_by_name(SurveyResult(findings=(finding,)))["transducer B: trigger"].found == (
         "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"
     )
 
 
-def test_the_noise_is_in_the_values() -> None:
+def test_the_noise_is_in_the_values():
     finding = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
     found = checks_by_name(SurveyResult(findings=(finding,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
     assert found.values == {"noise_rms_v": 5e-3, "trigger_level_v": 0.25}
 
 
 @pytest.mark.parametrize(("interval_s", "state"), [(4.0, "ok"), (0.4, "ok"), (0.39, "warn")])
-def test_a_coil_with_a_high_duty_cycle_causes_a_warning(interval_s: float, state: str) -> None:
+def test_a_coil_with_a_high_duty_cycle_causes_a_warning(interval_s, state):
     found = checks_by_name(SurveyResult(), shot_interval_s=interval_s)["coils: duty cycle"]
     assert (found.state, found.values["duty"]) == (state, pytest.approx(0.1 / interval_s, rel=1e-12))
 
@@ -500,13 +485,13 @@ def test_a_coil_with_a_high_duty_cycle_causes_a_warning(interval_s: float, state
 # The command on the twin ----------------------------------------------------------------------------
 
 
-def coarse(folder: Path) -> Path:
+def coarse(folder):
     path = folder / "twin.toml"
     path.write_text("[plate]\nelements_per_edge = 16\n", encoding="utf-8")
     return path
 
 
-def test_the_twin_is_struck_like_a_normal_shot(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_twin_is_struck_like_a_normal_shot(tmp_path, capsys):
     code = run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "data", strike="B", as_json=True)
     out = capsys.readouterr()
     report = json.loads(out.out)
@@ -518,10 +503,8 @@ def test_the_twin_is_struck_like_a_normal_shot(tmp_path: Path, capsys: pytest.Ca
     assert "one test strike at B" in out.err
 
 
-def test_without_strike_nothing_is_struck(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    def opened(*arguments: object) -> None:
+def test_without_strike_nothing_is_struck(tmp_path, capsys, monkeypatch):
+    def opened(*arguments):
         pytest.fail("the rig was opened")
 
     monkeypatch.setattr("daq_service.cli.doctor.trial.open_rig", opened)
@@ -532,7 +515,7 @@ def test_without_strike_nothing_is_struck(
 
 
 @pytest.mark.parametrize(("position", "message"), [("A", "B, C, D"), ("Z", "B, C, D")])
-def test_only_a_transducer_can_be_struck(tmp_path: Path, position: str, message: str) -> None:
+def test_only_a_transducer_can_be_struck(tmp_path, position, message):
     with pytest.raises(UsageError, match=message):
         run_doctor(config=coarse(tmp_path), data_dir=tmp_path / "data", strike=position, as_json=True)
 
@@ -541,5 +524,5 @@ def test_only_a_transducer_can_be_struck(tmp_path: Path, position: str, message:
     ("terminal", "line"),
     [("PFI0", "port1/line0"), ("PFI12", "port2/line4"), ("PFI15", "port2/line7"), ("Ctr0Out", "")],
 )
-def test_a_terminal_s_digital_name(terminal: str, line: str) -> None:
+def test_a_terminal_s_digital_name(terminal, line):
     assert digital_name(terminal) == line

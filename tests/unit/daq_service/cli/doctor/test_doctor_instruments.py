@@ -1,17 +1,14 @@
 """Checks of supply, climate probe and ultrasonic probe by `solimon doctor`, which switches nothing."""
 
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
 import pytest
 from support.niscope_rig import description, met_brain, needs_niscope, parameters
 from support.serial_rig import NO_TERMINALS, SerialRig
 
-from daq_service.cli.doctor.check import Check, check_of_finding, exit_code
+from daq_service.cli.doctor.check import check_of_finding, exit_code
 from daq_service.clock import WallClock
-from hardware_drivers.kinds import Kind, Opening
+from hardware_drivers.kinds import Opening
 from hardware_drivers.niscope.kind import KIND as NISCOPE
 from hardware_drivers.niscope.parameters import ProbeWiring
 from hardware_drivers.serial_port.kinds import CLIMATE, SUPPLY
@@ -19,22 +16,22 @@ from hardware_drivers.serial_port.kinds import CLIMATE, SUPPLY
 on_terminals = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "there are pseudo terminals")
 
 
-def run_checks(kind: Kind[Any], parameters: Any) -> list[Check]:
+def run_checks(kind, parameters):
     return [check_of_finding(finding) for finding in kind.check(parameters, Opening(clock=WallClock()))]
 
 
-def by_name(checks: Sequence[Check]) -> dict[str, Check]:
+def by_name(checks):
     return {check.name: check for check in checks}
 
 
 @pytest.fixture
-def rig(tmp_path: Path) -> Iterator[SerialRig]:
+def rig(tmp_path):
     with SerialRig(tmp_path) as rig:
         yield rig
 
 
 @on_terminals
-def test_a_supply_is_queried_and_never_switched(rig: SerialRig) -> None:
+def test_a_supply_is_queried_and_never_switched(rig):
     checks = by_name(run_checks(SUPPLY, rig.supply_parameters))
     assert {check.state for check in checks.values()} == {"ok"}
     assert "DC SUPPLY DOUBLE" in checks["supply: identity"].found
@@ -45,7 +42,7 @@ def test_a_supply_is_queried_and_never_switched(rig: SerialRig) -> None:
 
 
 @on_terminals
-def test_a_supply_that_is_on_without_a_recorder_causes_a_warning(rig: SerialRig) -> None:
+def test_a_supply_that_is_on_without_a_recorder_causes_a_warning(rig):
     rig.instruments.supply_link.do(lambda: rig.instruments.supply.press_output_key(True))
     checks = by_name(run_checks(SUPPLY, rig.supply_parameters))
     assert checks["supply: output"].state == "warn"
@@ -54,7 +51,7 @@ def test_a_supply_that_is_on_without_a_recorder_causes_a_warning(rig: SerialRig)
 
 
 @on_terminals
-def test_a_tripped_protection_fails(rig: SerialRig) -> None:
+def test_a_tripped_protection_fails(rig):
     rig.instruments.supply_link.do(lambda: rig.instruments.supply.trip("CURR"))
     checks = by_name(run_checks(SUPPLY, rig.supply_parameters))
     assert checks["supply: read-back"].state == "fail"
@@ -62,7 +59,7 @@ def test_a_tripped_protection_fails(rig: SerialRig) -> None:
 
 
 @on_terminals
-def test_another_instrument_on_the_line_fails_after_one_query(rig: SerialRig) -> None:
+def test_another_instrument_on_the_line_fails_after_one_query(rig):
     checks = run_checks(SUPPLY, replace(rig.supply_parameters, identity="KEYSIGHT,E36312A"))
     assert [(check.name, check.state) for check in checks] == [("supply: identity", "fail")]
     assert exit_code(checks) == 3
@@ -70,7 +67,7 @@ def test_another_instrument_on_the_line_fails_after_one_query(rig: SerialRig) ->
 
 
 @on_terminals
-def test_the_climate_is_read(rig: SerialRig) -> None:
+def test_the_climate_is_read(rig):
     checks = by_name(run_checks(CLIMATE, rig.climate_parameters))
     assert "CLIMATE PROBE DOUBLE" in checks["climate probe: identity"].found
     reading = checks["climate probe: reading"].values
@@ -81,7 +78,7 @@ def test_the_climate_is_read(rig: SerialRig) -> None:
 
 
 @needs_niscope
-def test_a_probe_board_is_named_and_its_record_checked() -> None:
+def test_a_probe_board_is_named_and_its_record_checked():
     with met_brain(description()):
         checks = by_name(run_checks(NISCOPE, parameters()))
     assert {check.state for check in checks.values()} == {"ok"}
@@ -93,7 +90,7 @@ def test_a_probe_board_is_named_and_its_record_checked() -> None:
 
 
 @needs_niscope
-def test_an_echo_above_its_range_causes_a_warning() -> None:
+def test_an_echo_above_its_range_causes_a_warning():
     with met_brain(description()):
         checks = by_name(run_checks(NISCOPE, parameters(range_v=0.2)))
     assert checks["probe A: record"].state == "warn"
@@ -101,7 +98,7 @@ def test_an_echo_above_its_range_causes_a_warning() -> None:
 
 
 @needs_niscope
-def test_a_missing_board_hides_no_other() -> None:
+def test_a_missing_board_hides_no_other():
     both = replace(
         parameters(), probes={"X": ProbeWiring(resource="PXI1Slot9"), "A": parameters().probes["A"]}
     )
@@ -112,7 +109,7 @@ def test_a_missing_board_hides_no_other() -> None:
 
 
 @on_terminals
-def test_a_protection_that_cannot_be_queried_causes_a_warning(tmp_path: Path) -> None:
+def test_a_protection_that_cannot_be_queried_causes_a_warning(tmp_path):
     with SerialRig(tmp_path, dialect="korad", way="tcp") as rig:
         checks = by_name(run_checks(SUPPLY, rig.supply_parameters))
     assert checks["supply: identity"].found.startswith("KORAD, KA3005P")
@@ -122,7 +119,7 @@ def test_a_protection_that_cannot_be_queried_causes_a_warning(tmp_path: Path) ->
 
 
 @on_terminals
-def test_a_refused_connection_is_distinguished_from_a_silent_instrument(tmp_path: Path) -> None:
+def test_a_refused_connection_is_distinguished_from_a_silent_instrument(tmp_path):
     with SerialRig(tmp_path, way="tcp", line={"reply_timeout_s": 0.1}) as rig:
         rig.instruments.supply_link.inject(silent=True)
         (silent,) = run_checks(SUPPLY, rig.supply_parameters)

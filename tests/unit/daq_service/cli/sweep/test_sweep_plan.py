@@ -6,7 +6,7 @@ import pytest
 
 from daq_service.cli.sweep import plan as plan_module
 from daq_service.cli.sweep.keys import ZENER_KEYS, known_keys
-from daq_service.cli.sweep.plan import Plan, make_plan
+from daq_service.cli.sweep.plan import make_plan
 from daq_service.cli.sweep.shot import zener_numbers
 from daq_service.cli.sweep.specification import Axis, parse_axis
 from daq_service.errors import UsageError
@@ -16,11 +16,11 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 BASE = ChainParameters(), PlateParameters(), CorrosionParameters()
 
 
-def planned(*specifications: str, **options: bool) -> Plan:
+def planned(*specifications, **options):
     return make_plan("coupled", BASE, [parse_axis(text) for text in specifications], **options)
 
 
-def test_a_grid_holds_every_combination_with_the_last_key_fastest() -> None:
+def test_a_grid_holds_every_combination_with_the_last_key_fastest():
     plan = planned("chain.sensor=sphere,disk", "corrosion.depth_fraction=0:0.4:3", "chain.spheres_below=3,4")
     assert len(plan.rows) == 12
     assert [row.index for row in plan.rows] == list(range(12))
@@ -39,20 +39,20 @@ def test_a_grid_holds_every_combination_with_the_last_key_fastest() -> None:
     assert len({row.key for row in plan.rows}) == 12
 
 
-def test_element_wise_takes_the_values_side_by_side() -> None:
+def test_element_wise_takes_the_values_side_by_side():
     plan = planned("chain.drop_height_m=3e-3,4e-3", "chain.sensor=disk,sphere", element_wise=True)
     assert [row.values for row in plan.rows] == [(3e-3, "disk"), (4e-3, "sphere")]
     with pytest.raises(UsageError, match=r"chain\.drop_height_m 2, chain\.sensor 1"):
         planned("chain.drop_height_m=3e-3,4e-3", "chain.sensor=disk", element_wise=True)
 
 
-def test_every_field_of_the_physics_is_a_key() -> None:
+def test_every_field_of_the_physics_is_a_key():
     for name, section in zip(("chain", "plate", "corrosion"), BASE, strict=True):
         for field in fields(section):
             assert f"{name}.{field.name}" in known_keys()
 
 
-def test_whole_numbers_and_floats_take_the_type_of_their_key() -> None:
+def test_whole_numbers_and_floats_take_the_type_of_their_key():
     (row,) = planned("chain.spheres_below=5:5:1", "chain.mass_kg=1:1:1,2", "chain.radius_m=0.05").rows[:1]
     assert [type(value) for value in row.values] == [int, float, float]
     with pytest.raises(UsageError, match=r"spheres_below: .*integer"):
@@ -74,17 +74,17 @@ def test_whole_numbers_and_floats_take_the_type_of_their_key() -> None:
         (["chain.mass_kg=0.02:0.03:500", "chain.radius_m=0.009:0.01:401"], "200500 rows; a sweep has at"),
     ],
 )
-def test_an_impossible_sweep_is_rejected_before_the_start(specifications: list[str], message: str) -> None:
+def test_an_impossible_sweep_is_rejected_before_the_start(specifications, message):
     with pytest.raises(UsageError, match=message):
         planned(*specifications)
 
 
-def test_waveforms_have_a_smaller_limit() -> None:
+def test_waveforms_have_a_smaller_limit():
     with pytest.raises(UsageError, match="with --waveforms has at most 10000"):
         planned("chain.drop_height_m=0.003:0.008:10001", waveforms=True)
 
 
-def test_rejected_combinations_can_be_rows_with_their_reason() -> None:
+def test_rejected_combinations_can_be_rows_with_their_reason():
     plan = planned("chain.drop_height_m=0.005,2", "plate.thickness_m=-1,0.01", skip_invalid=True)
     assert [row.specimen is None for row in plan.rows] == [True, False, True, True]
     both = plan.rows[2].reason
@@ -93,7 +93,7 @@ def test_rejected_combinations_can_be_rows_with_their_reason() -> None:
     assert plan.rows[2].values == (2, -1)
 
 
-def test_the_identity_depends_on_parameters_keys_model_and_code(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_identity_depends_on_parameters_keys_model_and_code(monkeypatch):
     axes = [Axis(key="chain.drop_height_m", values=(3e-3, 4e-3))]
     plan = make_plan("coupled", BASE, axes)
     chain, plate, corrosion = BASE
@@ -113,8 +113,8 @@ def test_the_identity_depends_on_parameters_keys_model_and_code(monkeypatch: pyt
     assert changed.rows[0].key != plan.rows[0].key
 
 
-def test_the_zener_model_accepts_only_its_keys() -> None:
-    def numbers(key: str, value: object) -> dict[str, float]:
+def test_the_zener_model_accepts_only_its_keys():
+    def numbers(key, value):
         (row,) = make_plan("zener", BASE, [Axis(key=key, values=(value,))]).rows
         assert row.specimen is not None
         return zener_numbers(*row.specimen)
@@ -131,7 +131,7 @@ def test_the_zener_model_accepts_only_its_keys() -> None:
             make_plan("zener", BASE, [Axis(key=key, values=(1,))])
 
 
-def test_tables_below_a_section_are_swept_by_key_or_whole() -> None:
+def test_tables_below_a_section_are_swept_by_key_or_whole():
     by_key = planned("plate.liquid.density_kg_per_m3=1000,1025", "plate.liquid.depth_m=0.05")
     liquids = [row.specimen[1].liquid for row in by_key.rows if row.specimen is not None]
     assert [(item.density_kg_per_m3, item.depth_m) for item in liquids if item] == [

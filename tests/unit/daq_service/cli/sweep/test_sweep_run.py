@@ -8,10 +8,8 @@ import math
 import os
 import signal
 import threading
-from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager, nullcontext
-from pathlib import Path
 from typing import Any
 
 import h5py
@@ -23,11 +21,10 @@ from support.waiting import ended
 from daq_service.cli.sweep import outputs as outputs_module
 from daq_service.cli.sweep import run as run_module
 from daq_service.cli.sweep.execution import ROWS_PER_TASK, tasks_of
-from daq_service.cli.sweep.plan import Plan, make_plan
+from daq_service.cli.sweep.plan import make_plan
 from daq_service.cli.sweep.run import SweepOptions, run_sweep
 from daq_service.cli.sweep.shot import NO_REFLECTION, OK, RESULTS, compute_rows
 from daq_service.cli.sweep.specification import parse_axis
-from daq_service.cli.sweep.table import SweepTable
 from daq_service.cli.sweep.work_file import open_work_file, work_path
 from daq_service.errors import BusyError, StorageError, UsageError
 from daq_service.processes import executors
@@ -47,22 +44,22 @@ MIXED = (
 HEIGHTS = ("chain.drop_height_m=0.003:0.008:40",)
 
 
-def planned(*specifications: str, base: Any = BASE, **options: bool) -> Plan:
+def planned(*specifications, base=BASE, **options):
     return make_plan("coupled", base, [parse_axis(text) for text in specifications], **options)
 
 
-def sweep_table(plan: Plan, stop: threading.Event | None = None, **options: Any) -> SweepTable:
+def sweep_table(plan, stop=None, **options):
     return run_sweep(plan, SweepOptions(**{"executor": "threads", **options}), {}, stop or threading.Event())
 
 
 class InlineExecutor(Executor):
     """Executor double that computes in this thread, records the tasks, and calls a hook after each."""
 
-    def __init__(self, after_task: Callable[[], None]) -> None:
+    def __init__(self, after_task):
         self.indices: list[int] = []
         self._after_task = after_task
 
-    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+    def submit(self, fn, /, *args, **kwargs):
         model, rows, waveforms = args
         self.indices += [index for index, _ in rows]
         future: Future[Any] = Future()
@@ -71,20 +68,18 @@ class InlineExecutor(Executor):
         return future
 
 
-def recording(
-    monkeypatch: pytest.MonkeyPatch, after_task: Callable[[], None] = lambda: None
-) -> InlineExecutor:
+def recording(monkeypatch, after_task=lambda: None):
     executor = InlineExecutor(after_task)
 
     @contextmanager
-    def opened(kind: str, workers: int) -> Iterator[Executor]:
+    def opened(kind, workers):
         yield executor
 
     monkeypatch.setattr(run_module, "opened_executor", opened)
     return executor
 
 
-def interrupt_sweep(monkeypatch: pytest.MonkeyPatch, plan: Plan, output: Path) -> list[int]:
+def interrupt_sweep(monkeypatch, plan, output):
     """Stop a sweep after its first tasks; return the indices of the computed rows."""
     stop = threading.Event()
     executor = recording(monkeypatch, stop.set)
@@ -94,7 +89,7 @@ def interrupt_sweep(monkeypatch: pytest.MonkeyPatch, plan: Plan, output: Path) -
     return executor.indices
 
 
-def test_each_row_is_the_single_shot_to_the_last_bit() -> None:
+def test_each_row_is_the_single_shot_to_the_last_bit():
     # So high a drop has its own time step: preparations for one height may not fit another.
     plan = planned(*MIXED[:2], "chain.drop_height_m=5e-3,1", "chain.tilt_rad=0,0.02")
     table = sweep_table(plan, workers=2)
@@ -113,7 +108,7 @@ def test_each_row_is_the_single_shot_to_the_last_bit() -> None:
 @pytest.mark.parametrize(
     ("executor", "workers"), [("threads", 2), pytest.param("processes", 2, marks=pytest.mark.slow)]
 )
-def test_the_hash_does_not_depend_on_executor_and_workers(executor: str, workers: int) -> None:
+def test_the_hash_does_not_depend_on_executor_and_workers(executor, workers):
     plan = planned(*MIXED)
     alone = sweep_table(plan, workers=1)
     assert (
@@ -125,9 +120,9 @@ def test_the_hash_does_not_depend_on_executor_and_workers(executor: str, workers
     assert sweep_table(other).facts["content_hash"] != alone.facts["content_hash"]
 
 
-def test_a_worker_ignores_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_worker_ignores_ctrl_c_and_ends_with_its_parent(monkeypatch):
     class Parent:
-        def join(self) -> None:
+        def join(self):
             calls.append("the parent has ended")
 
     calls: list[object] = []
@@ -145,9 +140,7 @@ def test_a_worker_ignores_ctrl_c_and_ends_with_its_parent(monkeypatch: pytest.Mo
     assert calls == ["the parent has ended", 1]
 
 
-def test_an_interrupted_sweep_continues_without_repeated_rows(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_an_interrupted_sweep_continues_without_repeated_rows(monkeypatch, tmp_path, capsys):
     plan = planned(*HEIGHTS, base=ANALYTIC, waveforms=True)
     whole, output = tmp_path / "whole.h5", tmp_path / "stopped.h5"
     sweep_table(plan, outputs=(whole,))
@@ -163,7 +156,7 @@ def test_an_interrupted_sweep_continues_without_repeated_rows(
     assert not work_path(output).exists()
 
 
-def test_a_torn_or_corrupt_line_is_computed_again(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_a_torn_or_corrupt_line_is_computed_again(monkeypatch, tmp_path):
     plan = planned(*HEIGHTS, base=ANALYTIC)
     output = tmp_path / "table.csv"
     done = interrupt_sweep(monkeypatch, plan, output)
@@ -186,9 +179,7 @@ def test_a_torn_or_corrupt_line_is_computed_again(monkeypatch: pytest.MonkeyPatc
     assert table.facts["content_hash"] == sweep_table(plan).facts["content_hash"]
 
 
-def test_a_work_file_of_another_sweep_or_in_use_is_refused(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_work_file_of_another_sweep_or_in_use_is_refused(monkeypatch, tmp_path):
     plan = planned(*HEIGHTS, base=ANALYTIC)
     output = tmp_path / "table.csv"
     interrupt_sweep(monkeypatch, plan, output)
@@ -201,7 +192,7 @@ def test_a_work_file_of_another_sweep_or_in_use_is_refused(
         sweep_table(plan, outputs=(output,))
 
 
-def test_csv_hdf5_and_parquet_hold_the_same_table(tmp_path: Path) -> None:
+def test_csv_hdf5_and_parquet_hold_the_same_table(tmp_path):
     paths = [tmp_path / name for name in ("t.csv", "t.h5", "t.parquet")]
     plan = planned(
         "plate.model=rigid_wall,infinite_kirchhoff",
@@ -258,7 +249,7 @@ def test_csv_hdf5_and_parquet_hold_the_same_table(tmp_path: Path) -> None:
     assert {"solimon_version", "versions", "content_hash", "code_sha256"} <= set(facts[0])
 
 
-def test_the_content_hash_can_be_made_again_from_the_table() -> None:
+def test_the_content_hash_can_be_made_again_from_the_table():
     table = sweep_table(planned("chain.drop_height_m=0.004,0.005", base=ANALYTIC))
     names = list(table.columns)
     lines = [names, *([row[name] for name in names] for row in table.rows())]
@@ -266,7 +257,7 @@ def test_the_content_hash_can_be_made_again_from_the_table() -> None:
     assert hashlib.sha256(text.encode()).hexdigest() == table.facts["content_hash"]
 
 
-def test_a_row_without_numbers_has_a_reason_and_stops_no_other() -> None:
+def test_a_row_without_numbers_has_a_reason_and_stops_no_other():
     # The impact of so slow a striker is lost in the rounding of the chain's static energy.
     plan = planned("chain.drop_height_m=5e-3,1e-12", base=ANALYTIC)
     table = sweep_table(plan)
@@ -277,7 +268,7 @@ def test_a_row_without_numbers_has_a_reason_and_stops_no_other() -> None:
     assert table.facts["rows_ok"] == 1
 
 
-def test_contradicting_parameters_end_the_sweep_or_become_a_row() -> None:
+def test_contradicting_parameters_end_the_sweep_or_become_a_row():
     plan = planned("corrosion.size_m=0.0254,0.7")
     with pytest.raises(UsageError, match=r"row 2 \(corrosion\.size_m = 0\.7\) is refused: .*--skip-invalid"):
         sweep_table(plan)
@@ -287,7 +278,7 @@ def test_contradicting_parameters_end_the_sweep_or_become_a_row() -> None:
     assert refused["tof_us"] is None
 
 
-def test_results_are_not_overwritten_by_default(tmp_path: Path) -> None:
+def test_results_are_not_overwritten_by_default(tmp_path):
     plan = planned("chain.drop_height_m=0.004,0.005", base=ANALYTIC)
     output = tmp_path / "table.csv"
     sweep_table(plan, outputs=(output,))
@@ -301,13 +292,11 @@ def test_results_are_not_overwritten_by_default(tmp_path: Path) -> None:
     assert output.read_bytes() == before
 
 
-def test_a_full_disk_keeps_finished_rows_and_leaves_no_half_file(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
-) -> None:
+def test_a_full_disk_keeps_finished_rows_and_leaves_no_half_file(monkeypatch, tmp_path):
     plan = planned("chain.drop_height_m=0.004,0.005", base=ANALYTIC)
     outputs = (tmp_path / "table.csv", tmp_path / "table.h5")
 
-    def full(descriptor: int, content: bytes) -> int:
+    def full(descriptor, content):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     with monkeypatch.context() as patched:
@@ -334,22 +323,20 @@ def test_a_full_disk_keeps_finished_rows_and_leaves_no_half_file(
         (["folder.csv"], False, StorageError, "is a folder"),
     ],
 )
-def test_impossible_outputs_are_rejected_first(
-    names: list[str], waveforms: bool, error: type[Exception], message: str, tmp_path: Path
-) -> None:
+def test_impossible_outputs_are_rejected_first(names, waveforms, error, message, tmp_path):
     (tmp_path / "folder.csv").mkdir()
     plan = planned("chain.drop_height_m=0.004", base=ANALYTIC, waveforms=waveforms)
     with pytest.raises(error, match=message):
         sweep_table(plan, outputs=tuple(tmp_path / name for name in names))
 
 
-def test_parquet_without_its_package_names_the_extra(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+def test_parquet_without_its_package_names_the_extra(monkeypatch, tmp_path):
     monkeypatch.setitem(__import__("sys").modules, "pyarrow", None)
     with pytest.raises(UsageError, match=r"pip install 'solimon\[parquet\]'"):
         outputs_module.check_outputs([tmp_path / "t.parquet"], waveforms=False)
 
 
-def test_a_chain_too_far_from_its_reflection_is_a_row_of_its_own_kind() -> None:
+def test_a_chain_too_far_from_its_reflection_is_a_row_of_its_own_kind():
     # Nearly all of the wave goes into a thin large plate: lambda is about 50.
     plan = planned("plate.thickness_m=4e-4", "chain.contact_damping_n_s_per_m=0", base=ANALYTIC)
     (row,) = sweep_table(plan).rows()
@@ -358,7 +345,7 @@ def test_a_chain_too_far_from_its_reflection_is_a_row_of_its_own_kind() -> None:
     assert math.isfinite(row["isw_peak_n"])
 
 
-def test_rows_of_a_plate_go_together_and_every_plate_begins_first() -> None:
+def test_rows_of_a_plate_go_together_and_every_plate_begins_first():
     plan = planned(
         "chain.drop_height_m=0.003:0.008:12",
         "plate.thickness_m=0.004,0.006",

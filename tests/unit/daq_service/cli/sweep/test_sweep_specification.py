@@ -1,7 +1,5 @@
 """Sweep specifications: every text is a list of values or is rejected with a remedy."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 from hypothesis import assume, given
@@ -28,20 +26,20 @@ NUMBERS = st.floats(allow_nan=False, allow_infinity=False)
         ('a.b={"size_m": 0.01, "x": [1, 2]},null', ({"size_m": 0.01, "x": [1, 2]}, None)),
     ],
 )
-def test_an_axis_is_read_as_written(text: str, values: tuple[object, ...]) -> None:
+def test_an_axis_is_read_as_written(text, values):
     axis = parse_axis(text)
     assert axis.key == text.partition("=")[0].strip()
     assert axis.values == values  # to the last bit: ranges are rounded to 15 digits
 
 
 @given(st.lists(NUMBERS, min_size=1, max_size=20))
-def test_listed_numbers_keep_every_bit(numbers: list[float]) -> None:
+def test_listed_numbers_keep_every_bit(numbers):
     axis = parse_axis("chain.mass_kg=" + ",".join(repr(number) for number in numbers))
     assert [float(value).hex() for value in axis.values] == [number.hex() for number in numbers]
 
 
 @given(st.floats(-1e300, 1e300), st.floats(-1e300, 1e300), st.integers(2, 200))
-def test_a_range_has_its_ends_its_count_and_even_steps(first: float, last: float, count: int) -> None:
+def test_a_range_has_its_ends_its_count_and_even_steps(first, last, count):
     values = np.array(parse_axis(f"a.b={first!r}:{last!r}:{count}").values)
     assert len(values) == count
     assert (values[0], values[-1]) == (first, last)
@@ -53,7 +51,7 @@ def test_a_range_has_its_ends_its_count_and_even_steps(first: float, last: float
 
 
 @given(st.floats(1e-200, 1e200), st.floats(1e-200, 1e200), st.integers(2, 200))
-def test_a_log_range_has_its_ends_and_a_constant_ratio(first: float, last: float, count: int) -> None:
+def test_a_log_range_has_its_ends_and_a_constant_ratio(first, last, count):
     assume(first != last)
     values = np.array(parse_axis(f"a.b=log:{first!r}:{last!r}:{count}").values)
     assert (values[0], values[-1]) == (first, last)
@@ -63,7 +61,7 @@ def test_a_log_range_has_its_ends_and_a_constant_ratio(first: float, last: float
 
 
 @given(st.text() | st.from_regex(r"[a-z.]*=[log:0-9e.,\[\]\"-]*", fullmatch=True))
-def test_any_text_is_read_or_refused_with_the_text_itself(text: str) -> None:
+def test_any_text_is_read_or_refused_with_the_text_itself(text):
     refusal = ""
     try:
         axis = parse_axis(text)
@@ -92,12 +90,12 @@ def test_any_text_is_read_or_refused_with_the_text_itself(text: str) -> None:
         ("a.b=0:1:150000,2:3:150000", "coarser"),
     ],
 )
-def test_an_impossible_specification_is_rejected_with_a_remedy(text: str, message: str) -> None:
+def test_an_impossible_specification_is_rejected_with_a_remedy(text, message):
     with pytest.raises(UsageError, match=message):
         parse_axis(text)
 
 
-def test_a_sweep_file_has_one_axis_per_column(tmp_path: Path) -> None:
+def test_a_sweep_file_has_one_axis_per_column(tmp_path):
     path = tmp_path / "shots.csv"
     path.write_bytes(b'\xef\xbb\xbfchain.sensor,chain.drop_height_m\r\ndisk,0.005\r\nsphere,"3e-3"\r\n\r\n')
     sensor, height = read_sweep_file(path)
@@ -116,7 +114,7 @@ def test_a_sweep_file_has_one_axis_per_column(tmp_path: Path) -> None:
         (b'a\n"1\n', "no CSV"),
     ],
 )
-def test_an_invalid_sweep_file_is_rejected(content: bytes, message: str, tmp_path: Path) -> None:
+def test_an_invalid_sweep_file_is_rejected(content, message, tmp_path):
     path = tmp_path / "shots.csv"
     path.write_bytes(content)
     with pytest.raises(UsageError, match=message):
