@@ -12,7 +12,7 @@ from pathlib import Path
 import grimp
 
 ROOT = Path(__file__).parents[2]
-MOST_ANY = {"daq_service": 270, "simulator": 266, "analysis": 6, "hardware_drivers": 137}
+MOST_ANY = {"daq_service": 266, "simulator": 266, "analysis": 6, "hardware_drivers": 137}
 """Of each package; lower a number with the code, never raise it."""
 MOST_MAPPINGS = {"daq_service": 63, "simulator": 15, "analysis": 3, "hardware_drivers": 7}
 """``dict[str, Any]`` of each package, likewise."""

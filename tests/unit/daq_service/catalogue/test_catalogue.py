@@ -606,7 +606,7 @@ def test_a_command_and_its_result_are_exchanged_with_the_recorder(writer, reader
 
 def test_a_command_has_one_result_with_a_known_state(writer, reader):
     command_id = reader.add_command("operator", "stop", {})
-    with pytest.raises(CatalogueConflictError, match="done, refused, expired, failed"):
+    with pytest.raises(CatalogueConflictError, match="done, rejected, expired, failed"):
         writer.finish_command(command_id, "finished")
     writer.start_command(command_id)
     assert [row.state for row in writer.open_commands()] == ["started"]
