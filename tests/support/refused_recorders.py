@@ -30,7 +30,7 @@ from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import open_catalogue, stored_rows
 from daq_service.catalogue.rows import AlarmRow
-from daq_service.clock import WallClock, parse_utc
+from daq_service.clock import MachineClock, WallClock, parse_utc
 from daq_service.commands.execution import CommandExecutor
 from daq_service.errors import StorageError
 from daq_service.processes.child import log_to
@@ -128,7 +128,8 @@ def record(
 ) -> bool:
     """Record once, to the end or until ``stop``."""
     with in_memory(instruments) as opener, injected(clock):
-        wall_clock = partial(WallClock, system_ns=clock.ns, elapsed_ns=clock.ns, sleep=clock.sleep)
+        machine = MachineClock(utc_ns=clock.ns, elapsed_ns=clock.ns, sleep=clock.sleep)
+        wall_clock = partial(WallClock, machine=machine)
         prepare_data_folder(folder)
         with own_data_folder(folder):
             sweep(folder)
