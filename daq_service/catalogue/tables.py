@@ -148,7 +148,7 @@ _index(assessments, "set_index")
 # The few unscheduled sets are found without reading past the others.
 for _of_sets in (sets, shots, features, thickness, assessments):
     _few = _of_sets.c.unscheduled_index > sa.literal_column("0")
-    sa.Index(f"ix_{_of_sets.name}_unscheduled", *(_of_sets.c[name] for name in _KEY), sqlite_where=_few)
+    sa.Index(f"ix_{_of_sets.name}_unscheduled", *(_of_sets.c[name] for name in _KEY[1:]), sqlite_where=_few)
 alarms = _table("alarms", rows.AlarmRow, raised_unscheduled_index=_SCHEDULED)
 _index(alarms, "position", "kind")
 _index(alarms, "state")

@@ -51,7 +51,7 @@ def upgrade() -> None:
         _execute(renamed.replace("(position, set_index", f"({_KEY}"))
     for table in _OF_SETS:
         few = sa.text("unscheduled_index > 0")
-        op.create_index(f"ix_{table}_unscheduled", table, _KEY.split(", "), sqlite_where=few)
+        op.create_index(f"ix_{table}_unscheduled", table, _KEY.split(", ")[1:], sqlite_where=few)
     _split_rows("alarms", "raised_set_index", "raised_unscheduled_index", "evidence")
     _split_rows("events", "set_index", "unscheduled_index", "payload")
 
