@@ -96,7 +96,7 @@ def storable(row: Row) -> dict[str, Any]:
     return {**stored, ROW_CRC32: zlib.crc32(orjson.dumps(columns, option=orjson.OPT_SERIALIZE_NUMPY))}
 
 
-def _drop_zeros(columns: dict[str, Any]) -> None:
+def _drop_zeros(columns: dict[str, object]) -> None:
     """Remove the columns that have no part in the checksum of a scheduled set's row."""
     for name in _SCHEDULED:
         if columns.get(name) == 0:
