@@ -109,6 +109,7 @@ class PulseEchoAssessor:
             reading = replace(reading, quality="suspect", reason=reason)
         row = ThicknessRow(
             set_index=due.set_index,
+            unscheduled_index=due.unscheduled_index,
             position=self.position,
             sequence=echo.sequence,
             due_h=due.due_h,
