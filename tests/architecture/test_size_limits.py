@@ -32,11 +32,6 @@ EXCEPTIONS = {
         "RemoteDrive",
         "class",
     ): "one connection and the requests on it",
-    (
-        "daq_service/processes/notifications/receiver.py",
-        "ReceiverQueue",
-        "class",
-    ): "messages and heartbeats of a receiver share its state",
     ("daq_service/processes/notifications/receiver.py", "ReceiverQueue.__init__", "parameters"): (
         "two clocks and chance for tests"
     ),

@@ -325,7 +325,7 @@ def test_a_person_is_prompted_with_the_remaining_time(ordering, ordered, open_pa
     shot = {"position": "C", "set_index": 3, "shot_index": 6, "attempt": 0, "within_s": 600.0}
     filled.say("asked", at, text="strike C now", **shot)
     expect(banner).to_contain_text("strike C now")
-    expect(banner).to_contain_text("Position C, set 4, shot 7")
+    expect(banner).to_contain_text("Position C, set 3, shot 6")
     expect(page.locator("#prompt-remaining")).to_have_text(re.compile(r"(10|9) min"))
     # A page opened later also prompts, with the remaining time.
     filled.say("orders", at + 580 * 10**9, text="anything new")

@@ -144,7 +144,8 @@ def test_a_person_is_prompted_on_every_channel_until_the_strike_ends(script, fol
     asked = events_of(folder, "asked", "asked_over")
     assert [row.kind for row in asked] == ["asked", "asked_over"] * SHOTS
     assert asked[2].payload == {
-        "text": "strike B now", "position": "B", "set_index": 0, "shot_index": 1, "attempt": 0,
+        "text": "strike B now", "position": "B", "set_index": 0, "unscheduled_index": 0,
+        "shot_index": 1, "attempt": 0,
         "within_s": 400.0,
     }  # fmt: skip
     assert [event for event, _ in heard if event.startswith("asked")] == ["asked", "asked_over"] * SHOTS

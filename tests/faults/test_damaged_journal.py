@@ -111,7 +111,7 @@ def test_corruption_in_an_open_set_is_reported_and_costs_only_its_shot(tmp_path,
     shot_ids = killed(folder, settings, KILLED_AFTER)
     segment = newest_segment(folder)
     content = bytearray(segment.read_bytes())
-    found = [frame for frame in frames(bytes(content)) if frame.set_index == 1]
+    found = [frame for frame in frames(bytes(content)) if frame.set_key == (1, 0)]
     assert found[0].kind is Kind.BEGIN
     PLACES[place](content, found)
     segment.write_bytes(content)
@@ -144,7 +144,7 @@ def test_an_expired_set_names_the_corruption_as_its_cause(tmp_path, monkeypatch)
     killed(folder, settings, KILLED_AFTER)
     segment = newest_segment(folder)
     content = bytearray(segment.read_bytes())
-    begin = next(frame for frame in frames(bytes(content)) if frame.set_index == 1)
+    begin = next(frame for frame in frames(bytes(content)) if frame.set_key == (1, 0))
     content[begin.start] ^= 1
     segment.write_bytes(content)
 
@@ -180,7 +180,7 @@ def test_corruption_in_a_set_with_rows_leaves_a_file_of_the_sound_records(tmp_pa
     killed(folder, settings, KILLED_AFTER, worker=NoWorker)
     segment = newest_segment(folder)
     content = bytearray(segment.read_bytes())
-    frame = next(frame for frame in frames(bytes(content)) if (frame.set_index, frame.kind) == (0, kind))
+    frame = next(frame for frame in frames(bytes(content)) if (frame.set_key, frame.kind) == ((0, 0), kind))
     content[frame.start + HEADER.size + 3] ^= 1
     segment.write_bytes(content)
     with open_catalogue(folder) as catalogue:
@@ -209,7 +209,7 @@ def test_an_unscheduled_set_without_its_first_frame_goes_on(tmp_path):
     record(settings, folder)
     after = outcome(folder, "wall")
     assert set(shot_ids) <= after.counts.keys()
-    (row,) = [row for row in after.rows["sets"] if row.set_index == begin.set_index]
+    (row,) = [row for row in after.rows["sets"] if row.set_key == begin.set_key]
     assert (row.state, row.n_taken) == ("done", crashed_recorders.SHOTS_PER_SET)
     (alarm,), _ = damage_alarms(folder)
     assert alarm.state == "unacknowledged"

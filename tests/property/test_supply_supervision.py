@@ -20,7 +20,7 @@ from support.machine import clock_in_seconds
 from support.scripted_supply import ScriptedSupply
 from support.serial_rig import TestClock
 
-from daq_service.corrosion_drive import remote, supply_state
+from daq_service.corrosion_drive import supply_state
 from daq_service.corrosion_drive.channel import Server
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import SWITCH_OFF_EVERY_S
@@ -175,8 +175,7 @@ class Supervision(RuleBasedStateMachine):
         self.folder = Path(tempfile.mkdtemp())
         self.world = World(self.folder)
         self.patch = pytest.MonkeyPatch()
-        for module in (supply_state, remote):
-            self.patch.setattr(module, "elapsed_ns", self.world.clock.mono_ns)
+        self.patch.setattr(supply_state, "elapsed_ns", self.world.clock.mono_ns)
         self.patch.setattr(supply_state, "write_durably", self._write)
         logging.disable(logging.CRITICAL)
         self.supervisor: DriveGuard | None = None
@@ -338,7 +337,7 @@ class Supervision(RuleBasedStateMachine):
             self.folder,
             lambda: world.start(parameters),  # type: ignore[arg-type,return-value]
             supply_port=parameters.line.port,
-            machine=clock_in_seconds(world.mono_s),
+            machine=replace(clock_in_seconds(world.mono_s), elapsed_ns=world.clock.mono_ns),
             kill=world.kill,
         )
         self.recorder.take_over(DriveState())
@@ -357,14 +356,14 @@ class Supervision(RuleBasedStateMachine):
             self.folder,
             lambda: world.start(parameters),  # type: ignore[arg-type,return-value]
             watches=False,
-            machine=clock_in_seconds(world.mono_s),
+            machine=replace(clock_in_seconds(world.mono_s), elapsed_ns=world.clock.mono_ns),
             kill=world.kill,
         )
         self.supervisor = DriveGuard(
             self.folder,
             self.guarding,
             check_every_s=PLAIN.unwatched_s,
-            machine=clock_in_seconds(world.mono_s),
+            machine=replace(clock_in_seconds(world.mono_s), elapsed_ns=world.clock.mono_ns),
         )
 
 

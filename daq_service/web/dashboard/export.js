@@ -112,7 +112,9 @@ export function testOffer(span) {
 /**
  * Offer the waveforms of a set.
  *
- * @param {string} position @param {import("./format.js").SetKey} set @param {string} file of the set as the API names it
+ * @param {string} position
+ * @param {import("./format.js").SetKey} set
+ * @param {string} file of the set as the API names it
  * @returns {Offer}
  */
 export function setOffer(position, set, file) {

@@ -29,7 +29,7 @@ export class OperatorPrompt {
       const shotText =
         request.position == null
           ? ""
-          : `Position ${request.position}, ${setName(setKey(request))}, shot ${request.shot_index + 1}`;
+          : `Position ${request.position}, ${setName(setKey(request))}, shot ${request.shot_index}`;
       setText(byId("prompt-shot"), request.attempt ? `${shotText}, once more` : shotText);
     }
     this.tick();

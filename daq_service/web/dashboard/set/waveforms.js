@@ -5,7 +5,11 @@ import { readHeader, toWaveform } from "../streams.js";
 
 /** @typedef {import("../streams.js").Waveform} Waveform */
 
-/** @param {string} position @param {import("../format.js").SetKey} key @returns {Promise<{header: any, waveforms: Waveform[]}>} */
+/**
+ * @param {string} position
+ * @param {import("../format.js").SetKey} key
+ * @returns {Promise<{header: any, waveforms: Waveform[]}>}
+ */
 export async function readWaveforms(position, key) {
   const buffer = await getBytes(`/sets/${position}/${key}/waveforms`);
   const { header, start } = readHeader(buffer);

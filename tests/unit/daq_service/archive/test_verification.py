@@ -92,7 +92,7 @@ def test_a_different_compression_library_is_no_corruption(path, image):
 
 def append_set(archive, record):
     archive.begin_set(
-        record.set_index, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
+        record.set_key, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
     )
     for item in record.records:
         archive.append(item, item.stamp.utc_ns)
@@ -120,7 +120,7 @@ def parse_line(folder):
 
 def test_a_journal_as_it_was_written_is_clean(journal):
     found = check_journal(journal)
-    assert (found.damages, sorted(found.sets)) == ([], [SET_INDEX, SET_INDEX + 1])
+    assert (found.damages, sorted(found.sets)) == ([], [(SET_INDEX, 0), (SET_INDEX + 1, 0)])
     assert found.n_frames == 2 * (1 + 5) + 1
 
 

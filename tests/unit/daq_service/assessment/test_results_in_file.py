@@ -62,7 +62,7 @@ def test_another_version_of_the_extractor_is_not_compared():
 
 def test_the_results_of_the_newest_set_are_those_of_its_commit_without_reading_the_catalogue():
     newest = SetCommit(shots=[SHOT, ECHO], features=[FEATURE, MEAN], thickness=[WALL])
-    newest.sets.append(SimpleNamespace(set_index=7))
+    newest.sets.append(SimpleNamespace(set_key=SetKey(7)))
     catalogue = SimpleNamespace(newest=newest)  # has no rows to read
     assert list(find_differences(newest_results(catalogue, SetKey(7)), results(FEATURE, MEAN, WALL))) == []
     with pytest.raises(AttributeError):

@@ -381,7 +381,7 @@ def test_pending_commands_are_executed_in_order(bench: Bench) -> None:
         *(bench.write("resume") for _ in range(2)),
     ]
     bench.listener.listen()
-    assert [bench.answer(order)[0] for order in orders] == ["done", "refused", "done", "refused"]
+    assert [bench.answer(order)[0] for order in orders] == ["done", "rejected", "done", "rejected"]
     assert bench.listener.held == ""
 
 
@@ -437,10 +437,10 @@ def test_without_a_supply_nothing_is_switched(bare: Bench, kind: str) -> None:
 
 def test_an_unknown_command_is_rejected_and_the_next_one_executed(bench: Bench) -> None:
     state, message = bench.execute("self_destruct")
-    assert state == "refused"
+    assert state == "rejected"
     assert message.startswith("unknown order 'self_destruct'; there are finish_now, stop, ")
     state, message = bench.execute("disable", positon="B")
-    assert state == "refused"
+    assert state == "rejected"
     assert "arguments.position" in message
     assert "arguments.positon" in message
     assert bench.execute("pause", note="why")[0] == "done"

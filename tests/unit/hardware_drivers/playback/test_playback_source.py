@@ -21,11 +21,11 @@ class Reader:
     def __init__(self):
         self.asked = []
 
-    def __call__(self, set_index):
-        self.asked.append(set_index)
-        if set_index >= SET_INDEX + 10:
+    def __call__(self, set_key):
+        self.asked.append(set_key.set_index)
+        if set_key.set_index >= SET_INDEX + 10:
             return ()
-        return other_set(make_set(), set_index).records
+        return other_set(make_set(), set_key.set_index).records
 
 
 def play(instruments, key):
