@@ -127,6 +127,11 @@ class World:
     def port(self, name):
         yield self.supply if name == "COM4" else self.nothing
 
+    def machine(self):
+        """Return the clock of this world; a wait lets its processes run."""
+        wait = lambda seconds: (self.clock.advance(seconds), self.run())[0]  # noqa: E731
+        return replace(clock_in_seconds(self.mono_s), elapsed_ns=self.clock.mono_ns, sleep=wait)
+
     def mono_s(self):
         return self.clock.now_ns / 1e9
 
@@ -307,7 +312,6 @@ class Supervision(RuleBasedStateMachine):
             self.recorder_stalled = what == "stall"
             return
         if what == "end" and not self.recorder_stalled:
-            self.recorder._pause = lambda seconds: (self.world.clock.advance(seconds), self.world.run())[0]
             with suppress(ConnectionLostError):
                 self.recorder.switch_off_at_end()
             self.recorder.__exit__()
@@ -337,7 +341,7 @@ class Supervision(RuleBasedStateMachine):
             self.folder,
             lambda: world.start(parameters),  # type: ignore[arg-type,return-value]
             supply_port=parameters.line.port,
-            machine=replace(clock_in_seconds(world.mono_s), elapsed_ns=world.clock.mono_ns),
+            machine=world.machine(),
             kill=world.kill,
         )
         self.recorder.take_over(DriveState())
@@ -356,14 +360,14 @@ class Supervision(RuleBasedStateMachine):
             self.folder,
             lambda: world.start(parameters),  # type: ignore[arg-type,return-value]
             watches=False,
-            machine=replace(clock_in_seconds(world.mono_s), elapsed_ns=world.clock.mono_ns),
+            machine=world.machine(),
             kill=world.kill,
         )
         self.supervisor = DriveGuard(
             self.folder,
             self.guarding,
             check_every_s=PLAIN.unwatched_s,
-            machine=replace(clock_in_seconds(world.mono_s), elapsed_ns=world.clock.mono_ns),
+            machine=world.machine(),
         )
 
 
