@@ -89,7 +89,7 @@ def joined(reports: Iterable[R], payloads: Mapping[Key, Payload]) -> list[R]:
 
 def payloads_of(rows: Iterable[Row]) -> dict[Key, Payload]:
     """Return the payloads of the events that report rows, by their keys."""
-    return {_key_of_row(row): reported(row) for row in rows}
+    return {_key_of_row(row): reported(row) for row in rows if getattr(row, "shot_index", None) is None}
 
 
 def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
@@ -112,7 +112,9 @@ def with_rows(connection: sa.Connection, reports: list[R]) -> list[R]:
             for stored in checked_values(connection, kind, statement):
                 payload = _payload(dict(zip(kind.__slots__, stored, strict=False)))
                 set_key = SetKey(payload["set_index"], payload.get("unscheduled_index", 0))
-                payloads[kind, payload.get("position"), set_key] = payload
+                # A corrupt entry of the partial index of sets can lead to the row of a single shot.
+                if payload.get("shot_index") is None:
+                    payloads[kind, payload.get("position"), set_key] = payload
     reports = joined(reports, payloads) if reporting else reports
     for event in reports:
         if isinstance(event, EventRow) and is_joined(event):

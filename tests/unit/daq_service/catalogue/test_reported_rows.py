@@ -121,3 +121,17 @@ def test_a_page_of_events_reads_each_table_once(life):
     kinds = {ROW_OF_EVENT[row.kind] for row in page if row.kind in ROW_OF_EVENT}
     assert len({row.set_index for row in page}) > 10
     assert len([sql for sql in statements if sql.startswith("SELECT")]) == 1 + len(kinds)
+
+
+def test_a_corrupt_index_does_not_give_the_row_of_a_shot_to_the_event_of_a_set(line):
+    """SQLite does not compare the rows that a partial index leads to with its condition."""
+    with closing(sqlite3.connect(line.folder / FILE_NAME)) as database, database:
+        of_index = "name = 'uq_features_set'"
+        (sql,) = database.execute(f"SELECT sql FROM sqlite_master WHERE {of_index}").fetchone()
+        assert "shot_index IS NULL" in sql
+        database.execute("DROP INDEX uq_features_set")
+        database.execute(sql.replace("UNIQUE ", "").replace("shot_index IS NULL", "shot_index = 0"))
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute(f"UPDATE sqlite_master SET sql = ? WHERE {of_index}", (sql,))
+    with line.catalogue() as catalogue, pytest.raises(CatalogueDamagedError, match="lacks its row"):
+        catalogue.rows(EventRow, topic="features")
