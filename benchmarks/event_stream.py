@@ -221,7 +221,7 @@ async def measure_deliveries(
 
 def payload_of(number: int) -> dict[str, Any]:
     """Return the payload of an event, as large as a set's."""
-    return {"number": number, "cause": None, "file": f"sets/set_{number:06d}.h5", "states": ["done"] * 20}
+    return {"number": number, "reason": None, "file": f"sets/set_{number:06d}.h5", "states": ["done"] * 20}
 
 
 async def resume_clients(served: Service, clients: int, frozen: int) -> dict[str, Any]:

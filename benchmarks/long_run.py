@@ -2,7 +2,7 @@
 
     python benchmarks/long_run.py [--hours 3500] [--folder F] [--json]
 
-The paper's positions and shots on instruments that answer at once with noisy pulses; journal, compaction,
+The paper's positions and shots on instruments that answer at once with noisy pulses; journal, files,
 catalogue, features, assessment and alarms are the real ones. Memory and handles are those of the recorder's
 process, sampled every 25 sets; a slope is a line through the samples behind the first fifth, in which
 caches fill and the baseline is frozen. Folder: bytes after the last set, and what `check-config` foretold.

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord, SetReference
-from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.waterfall.image import Picture, Wanted, WaterfallReader
 from daq_service.archive.waterfall.tile_files import tiles_of, write_tiles_of_file
 from daq_service.archive.waterfall.tiles import Tiles, n_bytes
@@ -129,7 +129,7 @@ def main() -> None:
                 index, n_shots=given.shots, n_samples=given.samples, planted=index == given.sets // 2
             )
             files[index] = archive.store_set(record).file
-            compact_set(folder, SetKey(index))
+            finalize_set(folder, SetKey(index))
             archive.settle(SetKey(index))
             start = time.perf_counter()
             write_tiles_of_file(folder, EXPERIMENT, files[index], {})

@@ -31,12 +31,12 @@ import numpy as np
 from analysis.diagnosis.diagnose import Diagnosis
 from analysis.diagnosis.hypotheses import OK, PRIOR
 from analysis.diagnosis.slopes import COMPONENTS
-from analysis.statistics.named_limits import AVERAGE, CHART, LIMITS
+from analysis.statistics.named_limits import AVERAGE, LIMITS, MEWMA
 from analysis.ultrasound.thickness import EXTRACTOR_VERSION as ECHO_EXTRACTOR
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.acquisition.schedule import DueSet, plan
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
-from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.records import set_reference
 from daq_service.assessment.diagnosis_texts import diagnosis_details
 from daq_service.background.live_figure import LiveFigure
@@ -127,7 +127,7 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
     with closing(FolderArchive(folder)) as archive:
         for record in (first, last):
             archive.store_set(record)
-            compact_set(folder, record.set_key)
+            finalize_set(folder, record.set_key)
             archive.settle(record.set_key)
     Heartbeat(folder, deadline_s=1e9).beat("waiting")
     (folder / "live").mkdir(exist_ok=True)
@@ -155,7 +155,7 @@ def _chart_and_diagnosis_columns(drawn: list[float]) -> dict[str, Any]:
         "mewma_alarm": False,
         "limits": {name: 24.3 + abs(drawn[2]) for name in LIMITS},
         "statistics": {limit.of: abs(drawn[3]) for limit in LIMITS.values()},
-        "averages": {AVERAGE: drawn, CHART: drawn},
+        "averages": {AVERAGE: drawn, MEWMA: drawn},
     }
 
 
@@ -183,7 +183,7 @@ def _add_set(
                 started_utc_ns=due.due_utc_ns,
                 ended_utc_ns=due.due_utc_ns + 10**9,
                 state="missed" if missed else "done",
-                cause="no trigger" if missed else None,
+                reason="no trigger" if missed else None,
                 n_planned=n_planned,
                 n_taken=n_taken,
                 n_valid=n_taken,
@@ -365,7 +365,7 @@ def queries(path: str, n_sets: int, chance: random.Random) -> list[str]:
              f"from_h={end_h - 1}"]  # fmt: skip
     named = [f"position={position}", *(f"position={position}&{part}" for part in hours)]
     queries_by_path = {
-        "sets": [*hours, *named, "state=missed", "state=retired", f"state=missed&position={position}",
+        "sets": [*hours, *named, "state=missed", "state=disabled", f"state=missed&position={position}",
                  f"state=done&position={position}", f"state=missed&from_h={middle}"],
         "features": [*hours, *named, f"set_index={index}", f"set_index={index}&{named[0]}",
                      *(f"scope=shot&{part}" for part in (*named, *hours))],

@@ -21,7 +21,7 @@ WATCH_KEYS = LOG_KEYS | {
     "interlock_readings",
     "interlock_lost_after_s",
     "off_at_end",
-    "unwatched_s",
+    "watchdog_timeout_s",
 }
 """Nor how the drive is watched."""
 
@@ -57,13 +57,13 @@ class DriveParameters(ABC):
     """So long voltage or current may deviate from the command before the alarm `supply_deviation`."""
     off_at_end: bool = True
     """Switch the output off when the schedule is done or the test is told to stop. A crash or a restart
-    leaves it as it is for `unwatched_s`, as does `false` at the end: the corrosion goes on, and only a
+    leaves it as it is for `watchdog_timeout_s`, as does `false` at the end: the corrosion goes on, and only a
     person's order would switch it on again."""
     interlock_lost_after_s: Annotated[float, Gt(0.0), Le(86_400.0)] = 300.0
     """Silence after which the interlock trips: the output is switched off as soon as the link is back."""
-    unwatched_s: Annotated[float, Ge(1.0), Le(86_400.0)] = 600.0
-    """Without a recorder for so long, the output is switched off and stays off until a person's command. So
-    long, at most, a command outlives the process of the drive; it never outlives a boot of the computer."""
+    watchdog_timeout_s: Annotated[float, Ge(1.0), Le(86_400.0)] = 600.0
+    """Watchdog trip: after this time without a recorder, the output is switched off until a person's command.
+    A command outlives the supply process by this time at most, and never a boot of the computer."""
 
     @property
     @abstractmethod

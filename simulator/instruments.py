@@ -80,7 +80,7 @@ class RecordsAhead:
         self._strikes_after = strikes_after
         self._planned: Iterator[list[TimedStrike]] = iter(())
         self._pending: dict[TimedStrike, _PendingRecord] = {}
-        # Positions that were passed over when they were due: retired ones, for all we know.
+        # Positions that were passed over when they were due: disabled ones, for all we know.
         self._passed_over: set[str] = set()
 
     def record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:

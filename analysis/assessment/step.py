@@ -214,7 +214,7 @@ def step(state: State, set_of_shots: SetOfShots, rules: Rules) -> tuple[State, S
     """Update the state with one set and assess it; the assessment is None if the set has no record."""
     if set_of_shots.set_index < rules.first_baseline_set:
         return state, SetAssessment(
-            reason="its baseline was retired before it was judged"
+            reason="its baseline was retired before it was assessed"
         ) if set_of_shots.n_taken else None
     poor_sets = next_poor_sets(
         state.poor_sets,
@@ -277,7 +277,7 @@ def _with_diagnosis(
 
 
 def enabled(state: State) -> State:
-    """Clear the faults that retired the transducer, because a person has enabled it."""
+    """Clear the faults that disabled the transducer, because a person has enabled it."""
     return replace(state, hole=HoleState(), poor_sets=0)
 
 

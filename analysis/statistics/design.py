@@ -17,7 +17,7 @@ from analysis.statistics.default_limit import DefaultLimit, default_limit
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.memory import effective_sets, pooled_phi
 from analysis.statistics.mewma import WEIGHT
-from analysis.statistics.named_limits import AVERAGE, CHART, DISTANCE, PREWHITENED, Facts, limits_of
+from analysis.statistics.named_limits import AVERAGE, DISTANCE, MEWMA, PREWHITENED, Facts, limits_of
 from analysis.statistics.rules import NOMINAL_RATE
 from analysis.waves.record_reduction import FloatArray
 
@@ -132,7 +132,7 @@ def state_at_end_of(baseline: Baseline, last: FloatArray) -> ChartState:
     return ChartState(
         index=baseline.set_indices[-1],
         vector=tuple(last.tolist()),
-        averages={AVERAGE: zero, CHART: zero},
+        averages={AVERAGE: zero, MEWMA: zero},
     )
 
 
@@ -144,7 +144,7 @@ def next_chart_state(
     before, distance = np.array(memory.vector), max(1, index - memory.index)
     entering = {
         AVERAGE: (vector - baseline.mean) / baseline.sd @ baseline.whitening,
-        CHART: chart.whitened_after(vector, before, distance),
+        MEWMA: chart.whitened_after(vector, before, distance),
     }
     averages = {
         name: WEIGHT * w + (1.0 - WEIGHT) * np.array(memory.averages[name]) for name, w in entering.items()
@@ -158,7 +158,7 @@ def next_chart_state(
         index=index,
         vector=tuple(vector.tolist()),
         averages={name: tuple(z.tolist()) for name, z in averages.items()},
-        alarming=next_alarm(memory.alarming, statistics[CHART], design.limits[CHART], baseline.p),
+        alarming=next_alarm(memory.alarming, statistics[MEWMA], design.limits[MEWMA], baseline.p),
     ), statistics
 
 

@@ -18,18 +18,18 @@ from analysis.statistics.default_limit import DefaultLimit
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD, f_predictive_limit, paper_limit
 from analysis.statistics.mewma import estimated_limit, known_limit
 
-DISTANCE, PREWHITENED, AVERAGE, CHART = (
+DISTANCE, PREWHITENED, AVERAGE, MEWMA = (
     "distance_squared",
     "distance_squared_prewhitened",
     "mewma_textbook",
-    "chart",
+    "mewma",
 )
 STATISTICS: Mapping[str, str] = MappingProxyType(
     {
         DISTANCE: "Squared Mahalanobis distance of the set from the baseline",
         PREWHITENED: "The same after the baseline's memory from set to set was taken out",
         AVERAGE: "MEWMA of the whitened sets, weight 0.1, asymptotic covariance",
-        CHART: "The same with memory taken out and each set cut back to the F limit of 1 %",
+        MEWMA: "The same with memory taken out and each set cut back to the F limit of 1 %",
     }
 )
 """What limits bound, by name, in words."""
@@ -121,9 +121,9 @@ LIMITS: Mapping[str, NamedLimit] = MappingProxyType(
             of=PREWHITENED,
             value=lambda facts: facts.by_default.limit,
         ),
-        CHART: NamedLimit(
+        MEWMA: NamedLimit(
             words="that of the chart that keeps the budget of false alarms",
-            of=CHART,
+            of=MEWMA,
             value=lambda f: f.chart.limit,
         ),
     }

@@ -18,7 +18,7 @@ from analysis.statistics.baseline_check import CORE, Anomaly, find_anomalies
 from analysis.statistics.design import ONE_IN_FIVE_YEARS, Budget, Design, design_of
 from analysis.statistics.distance import distance_squared
 from analysis.statistics.mewma import mcusum, mewma
-from analysis.statistics.named_limits import AVERAGE, CHART, DISTANCE, LIMITS, PREWHITENED
+from analysis.statistics.named_limits import AVERAGE, DISTANCE, LIMITS, MEWMA, PREWHITENED
 from analysis.statistics.rules import MINIMUM_SETS
 from analysis.waves.record_reduction import FloatArray
 
@@ -182,9 +182,9 @@ def _assess(
     statistic, onsets = design.chart.run(entering)
     statistics = {
         **_statistics(x, followed, complete, assessed, design),
-        CHART: _values_in_rows(len(x), assessed, statistic),
+        MEWMA: _values_in_rows(len(x), assessed, statistic),
     }
-    limits = {name: limit for name, limit in design.limits.items() if name != CHART}
+    limits = {name: limit for name, limit in design.limits.items() if name != MEWMA}
     beyond = {
         name: np.flatnonzero(after & (statistics[LIMITS[name].of] > limit)) for name, limit in limits.items()
     }
@@ -210,7 +210,7 @@ def _assess(
         mcusum_textbook=_values_in_rows(len(x), assessed, mcusum(_whitened(x[assessed], baseline)))
         if textbooks
         else np.empty(0),
-        chart=statistics[CHART],
+        chart=statistics[MEWMA],
         unbroken=_values_in_rows(len(x), assessed, replace(design.chart, limit=np.inf).run(entering)[0]),
     )
 

@@ -113,7 +113,7 @@ def take_set(
     wants_restrike
         Called after each strike that can be repeated; True repeats it.
     may_strike
-        Called before each strike; False skips a position that an operator has retired.
+        Called before each strike; False skips a position that an operator has disabled.
 
     Raises
     ------
@@ -238,7 +238,7 @@ class TakenSet:
 
     Attributes
     ----------
-    retired
+    disabled
         Positions that were left out from the start, with the reason.
     features
         Features of each shot by its sequence.
@@ -247,7 +247,7 @@ class TakenSet:
     """
 
     rule: RestrikeRule
-    retired: Mapping[str, str] = field(default_factory=dict)
+    disabled: Mapping[str, str] = field(default_factory=dict)
     shots: list[Shot] = field(default_factory=list)
     echoes: list[PulseEchoRecord] = field(default_factory=list)
     missed: list[MissedShot] = field(default_factory=list)
@@ -281,7 +281,7 @@ class TakenSet:
     def is_complete(self, planned: Mapping[str, int]) -> bool:
         """Return whether every planned shot was tried; positions that were left out are ignored."""
         tried = Counter(position for position, _ in self.progress(()).tried)
-        return all(tried[position] >= n for position, n in planned.items() if position not in self.retired)
+        return all(tried[position] >= n for position, n in planned.items() if position not in self.disabled)
 
     def keep(self, measurement: Measurement) -> None:
         """Add a measurement; a shot's features are added separately (`features`)."""

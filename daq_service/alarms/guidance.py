@@ -67,7 +67,7 @@ GUIDANCE: Mapping[str, Guidance] = {
         contact="who looks after the rig",
     ),
     "no_reflection": Guidance(
-        meaning="no reflected wave in most shots, sets running; the transducer is retired",
+        meaning="no reflected wave in most shots, consecutive sets; the transducer is disabled",
         limitations="whether the wall is open or the chain has lost contact",
         checks=(
             "leaks, by eye",

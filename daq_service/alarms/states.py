@@ -98,8 +98,8 @@ class Moment:
         return None if self.set_index is None else SetKey(self.set_index, self.unscheduled_index)
 
 
-def retired_positions(alarms: Iterable[AlarmRow]) -> dict[str, str]:
-    """Return the retired transducers, each with the message of its alarm.
+def disabled_positions(alarms: Iterable[AlarmRow]) -> dict[str, str]:
+    """Return the disabled transducers, each with the message of its alarm.
 
     Parameters
     ----------

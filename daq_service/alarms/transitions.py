@@ -7,7 +7,7 @@ from typing import Any
 
 from daq_service.catalogue.rows import EventRow
 
-_WHO_AND_WHY: Mapping[str, tuple[str, str]] = {
+_AUTHOR_AND_REASON: Mapping[str, tuple[str, str]] = {
     "alarm_acknowledged": ("acknowledged_by", "note"),
     "alarm_reset": ("acknowledged_by", "note"),
     **dict.fromkeys(
@@ -22,7 +22,7 @@ _BY_THEMSELVES = ("alarm_raised", "alarm_reactivated", "alarm_priority_raised")
 def transition(event: EventRow) -> dict[str, Any]:
     """Convert an event of the topic ``alarms`` to a transition; times in ns of UTC."""
     payload = event.payload
-    who, why = _WHO_AND_WHY.get(event.kind, ("", ""))
+    author, reason = _AUTHOR_AND_REASON.get(event.kind, ("", ""))
     return {
         "event_id": event.id,
         "kind": event.kind,
@@ -31,7 +31,7 @@ def transition(event: EventRow) -> dict[str, Any]:
         "state": payload.get("state"),
         "priority": payload.get("priority"),
         "suppressed": payload.get("suppressed"),
-        "who": payload.get("author") or payload.get(who),
-        "why": payload.get("message") if event.kind in _BY_THEMSELVES else payload.get(why),
+        "author": payload.get("author") or payload.get(author),
+        "reason": payload.get("message") if event.kind in _BY_THEMSELVES else payload.get(reason),
         "shelved_until_utc_ns": payload.get("shelved_until_utc_ns"),
     }

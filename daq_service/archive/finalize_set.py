@@ -20,7 +20,7 @@ from daq_service.shared_file import read_shared, write_durably
 from hardware_drivers.measurement import SetKey
 
 
-def compact_set(
+def finalize_set(
     folder: Path,
     set_key: SetKey,
     places: Places | None = None,

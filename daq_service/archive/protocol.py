@@ -103,7 +103,7 @@ class Archive(SetReader, Protocol):
     journal_damage: JournalDamage
 
     def begin_set(
-        self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+        self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
     ) -> None:
         """Record the start of a set; durable with the next `sync`."""
         ...

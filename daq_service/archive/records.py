@@ -157,19 +157,19 @@ class OpenSet:
 
     Attributes
     ----------
-    retired
+    disabled
         Positions that were excluded at its start, and why.
     last_utc_ns
         Experiment time of its last durable frame.
     is_dated
-        False: the frame with due time and ``retired`` is corrupt; the time of the first shot replaces it.
+        False: the frame with due time and ``disabled`` is corrupt; the time of the first shot replaces it.
     """
 
     set_key: SetKey
     due_utc_ns: int
     started_utc_ns: int
     last_utc_ns: int
-    retired: Mapping[str, str] = field(default_factory=dict)
+    disabled: Mapping[str, str] = field(default_factory=dict)
     records: Sequence[Shot | PulseEchoRecord] = ()
     missed: Sequence[MissedRecord] = ()
     is_dated: bool = True

@@ -1,4 +1,4 @@
-"""Store sets in the journal, record by record; `compact_set` writes each to its own file later."""
+"""Store sets in the journal, record by record; `finalize_set` writes each to its own file later."""
 
 from __future__ import annotations
 
@@ -86,12 +86,12 @@ class FolderArchive(FolderSetReader):
         self._stored = {index: file for index, file in self.sets().items() if index not in self.open_sets()}
 
     def begin_set(
-        self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+        self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
     ) -> None:
         """Record the start of a set; durable with the next `sync`."""
         self._sequences_of[set_key] = set()
         self._journal_writer.begin(
-            set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired
+            set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled
         )
 
     def append(self, item: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
@@ -120,7 +120,7 @@ class FolderArchive(FolderSetReader):
         }
         return {index: item for index, item in opened.items() if item is not None}
 
-    def to_compact(self) -> list[SetKey]:
+    def to_finalize(self) -> list[SetKey]:
         """Return the complete sets that an earlier process left in the journal."""
         return [index for index, item in self._journal_writer.left.items() if item.is_whole]
 
@@ -132,7 +132,7 @@ class FolderArchive(FolderSetReader):
                 opened.set_key,
                 due_utc_ns=opened.due_utc_ns,
                 started_utc_ns=opened.started_utc_ns,
-                retired=opened.retired,
+                disabled=opened.disabled,
             )
 
     def store_set(self, record: SetRecord) -> StoredSet:

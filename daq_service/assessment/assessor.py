@@ -105,5 +105,5 @@ class Assessor(Protocol):
         ...
 
     def enable(self) -> None:
-        """Clear the faults that retired the transducer, because a person has enabled it."""
+        """Clear the faults that disabled the transducer, because a person has enabled it."""
         ...

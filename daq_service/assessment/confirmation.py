@@ -153,7 +153,7 @@ def summarize_confirmation(its_set: SetRow, assessment: AssessmentRow | None) ->
         "confirms": None if assessment is None else assessment.confirms,
     }
     if assessment is None:
-        return ConfirmationResult(**facts, reason=its_set.cause)
+        return ConfirmationResult(**facts, reason=its_set.reason)
     limit = limits_by_name(assessment).get(assessment.limit_name)
     return ConfirmationResult(
         **facts, distance_squared=assessment.distance_squared, limit=limit, reason=assessment.reason

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Literal
 
-from daq_service.alarms.states import NOT_ASSESSED, retired_positions
+from daq_service.alarms.states import NOT_ASSESSED, disabled_positions
 from daq_service.assessment.methods import METHODS
 from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue.reader import LatestRows
@@ -37,7 +37,7 @@ def status_of(last: LatestRows) -> PositionStatus:
         Its latest rows, with the current alarms (`Freshness.standing_word`): an expired shelf hides none.
     """
     assessment = last.last_assessment
-    if retired_positions(last.active_alarms):
+    if disabled_positions(last.active_alarms):
         return "disabled"
     if last.last_set is None:
         return "no_data"
@@ -69,7 +69,7 @@ def limit_of(last: LatestRows, settings: Settings) -> float | None:
 def data_hour(last: LatestRows) -> float | None:
     """Return the hour of the newest set with data; None before the first one.
 
-    A set that was missed, or scheduled for a retired transducer, has no data.
+    A set that was missed, or scheduled for a disabled transducer, has no data.
     """
     return max(
         (row.due_h for row in (last.last_feature, last.last_thickness) if row is not None), default=None

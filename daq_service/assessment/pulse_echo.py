@@ -59,7 +59,7 @@ class PulseEchoAssessor:
         self.state = replace(self.state, alarm=alarm)
 
     def enable(self) -> None:
-        """Do nothing, because a probe is never retired."""
+        """Do nothing, because a probe is never disabled."""
 
     def assess_set(
         self, due: DueSet, record: SetRecord, features: Mapping[int, ShotFeatures]

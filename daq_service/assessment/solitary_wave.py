@@ -22,7 +22,7 @@ from analysis.assessment.step import (
 )
 from analysis.diagnosis.diagnose import Diagnosis
 from analysis.statistics.limits import F_PREDICTIVE, PAPER_MEAN_3SD
-from analysis.statistics.named_limits import CHART, DISTANCE
+from analysis.statistics.named_limits import DISTANCE, MEWMA
 from analysis.waves.features import (
     EXTRACTOR_VERSION,
     FEATURE_NAMES,
@@ -85,7 +85,7 @@ class SolitaryWaveAssessor:
         return self._baseline_id
 
     def enable(self) -> None:
-        """Clear the faults that retired the transducer, because a person has enabled it."""
+        """Clear the faults that disabled the transducer, because a person has enabled it."""
         self.state = enabled(self.state)
 
     def assess_set(
@@ -269,7 +269,7 @@ class SolitaryWaveAssessor:
         baseline = self.state.baseline
         limits = {} if baseline is None else baseline.limits
         other_statistics = {
-            name: value for name, value in assessment.statistics.items() if name not in (DISTANCE, CHART)
+            name: value for name, value in assessment.statistics.items() if name not in (DISTANCE, MEWMA)
         }
         return AssessmentRow(
             set_index=set_index,
@@ -286,7 +286,7 @@ class SolitaryWaveAssessor:
             outlier_mean_3sd=assessment.outlier_mean_3sd,
             reason=assessment.reason,
             contributions=None if assessment.contributions is None else dict(assessment.contributions),
-            mewma_statistic=assessment.statistics.get(CHART),
+            mewma_statistic=assessment.statistics.get(MEWMA),
             mewma_alarm=None if assessment.memory is None else assessment.memory.alarming,
             statistics=other_statistics or None,
             limits=dict(limits) or None,

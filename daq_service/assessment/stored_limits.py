@@ -21,10 +21,10 @@ def limits_by_name(row: BaselineRow | AssessmentRow) -> dict[str, float]:
 
 def statistic_of(row: AssessmentRow, limit_name: str) -> float | None:
     """Return the statistic that a limit applies to; None if the set was not assessed by it."""
-    from analysis.statistics.named_limits import CHART, DISTANCE, LIMITS
+    from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 
     name = LIMITS[limit_name].of
-    columns = {DISTANCE: row.distance_squared, CHART: row.mewma_statistic}
+    columns = {DISTANCE: row.distance_squared, MEWMA: row.mewma_statistic}
     return columns[name] if name in columns else (row.statistics or {}).get(name)
 
 
@@ -32,7 +32,7 @@ def deciding_chart(row: AssessmentRow | None, alarms: AlarmSettings) -> tuple[fl
     """Return statistic and limit of the chart if it raises the wall alarm; None if it does not."""
     if row is None or row.mewma_statistic is None or alarms.decides_by != "chart":
         return None
-    from analysis.statistics.named_limits import CHART
+    from analysis.statistics.named_limits import MEWMA
 
-    limit = limits_by_name(row).get(CHART)
+    limit = limits_by_name(row).get(MEWMA)
     return None if limit is None else (row.mewma_statistic, limit)

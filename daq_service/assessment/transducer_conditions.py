@@ -15,7 +15,7 @@ import numpy as np
 from analysis.assessment.step import Rules, State, wall_alarm_active
 from analysis.diagnosis.hypotheses import WALL
 from analysis.statistics.design import Design, contributions_of
-from analysis.statistics.named_limits import CHART, DISTANCE, LIMITS
+from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 from analysis.statistics.rules import HoleRule
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.acquisition.schedule import DueSet
@@ -105,7 +105,7 @@ def _by_chart(
 ) -> AlarmBasis:
     memory = state.memory
     assert memory is not None, "checked by the caller"
-    limit, average = design.limits[CHART], np.array(memory.averages[CHART])
+    limit, average = design.limits[MEWMA], np.array(memory.averages[MEWMA])
     parts = contributions_of(average)
     statistic = float(parts.sum())
     budget = rules.false_alarms_per_sensor_year
@@ -119,9 +119,9 @@ def _by_chart(
     evidence = {
         "formula": CHART_FORMULA,
         "rule": {"false_alarms_per_sensor_year": budget},
-        "raised_by": CHART if memory.alarming else BY_DIAGNOSIS,
+        "raised_by": MEWMA if memory.alarming else BY_DIAGNOSIS,
         "mewma_statistic": statistic,
-        "limit_name": CHART,
+        "limit_name": MEWMA,
         "limit": limit,
         "contributions": dict(zip(design.baseline.feature_names, parts.tolist(), strict=True)),
         "rate_verified": not design.rate_not_verified_reason,
@@ -134,7 +134,7 @@ def _by_k_of_n(position: str, state: State, rules: Rules, assessment: Assessment
     alarm, rule = state.alarm, rules.alarm
     statistics = {
         DISTANCE: assessment.distance_squared,
-        CHART: assessment.mewma_statistic,
+        MEWMA: assessment.mewma_statistic,
         **(assessment.statistics or {}),
     }
     value = statistics.get(LIMITS[assessment.limit_name].of)
@@ -183,7 +183,7 @@ def hole_condition(
 def device_conditions(
     position: str, due: DueSet, state: State, rules: Rules, quality: QualitySettings, reason: str
 ) -> list[Condition]:
-    """Return the conditions of too few valid shots: first an alarm, later the transducer is retired.
+    """Return the conditions of too few valid shots: first an alarm, later the transducer is disabled.
 
     Parameters
     ----------

@@ -18,7 +18,7 @@ from daq_service.archive import (
     SetRecord,
     SetReference,
 )
-from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.finalize_set import finalize_set
 from daq_service.background.task import BackgroundTask
 from daq_service.errors import StorageError
 from daq_service.processes.worker import one_worker
@@ -78,7 +78,7 @@ class SetFinalizer(BackgroundTask):
         try:
             results = self._results(set_key)
             self._running[set_key] = self._executor.submit(
-                compact_set,
+                finalize_set,
                 self._folder,
                 set_key,
                 self._archive.places(set_key),

@@ -81,8 +81,8 @@ class TileMaker(BackgroundTask):
 
     Parameters
     ----------
-    compaction
-        Whose worker does it, when it has no files to make.
+    finalizer
+        Its worker adds the sets while it finalizes none.
     files, results
         The files of all sets by key; what was computed of one.
     has_room
@@ -93,14 +93,14 @@ class TileMaker(BackgroundTask):
         self,
         folder: Path,
         experiment: str,
-        compaction: SetFinalizer,
+        finalizer: SetFinalizer,
         files: Callable[[], Mapping[SetKey, str]],
         results: Callable[[SetKey], Results],
         *,
         has_room: Callable[[], bool] = lambda: True,
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._folder, self._experiment, self._compaction = folder, experiment, compaction
+        self._folder, self._experiment, self._finalizer = folder, experiment, finalizer
         self._files, self._results, self._has_room, self._mono_s = files, results, has_room, mono_s
         self._round: list[tuple[SetKey, str]] = []
         self._running: Future[str] | None = None
@@ -114,7 +114,7 @@ class TileMaker(BackgroundTask):
                 return
             self._take_back(self._running)
             self._running = None
-        free = seconds > QUIET_S and not self._compaction.waits
+        free = seconds > QUIET_S and not self._finalizer.waits
         if free and self._has_room() and self._mono_s() >= self._next_s:
             self._next_s = self._mono_s() + EVERY_S
             self._submit(self._next_sets_of_round())
@@ -133,7 +133,7 @@ class TileMaker(BackgroundTask):
             log.warning("no tiles of the waterfall now: %s", error)
             return
         if files_and_results:
-            self._running = self._compaction.submit(
+            self._running = self._finalizer.submit(
                 add_files_to_tiles, self._folder, self._experiment, files_and_results
             )
 

@@ -32,8 +32,8 @@ class IdleVerification(BackgroundTask):
 
     Parameters
     ----------
-    compaction
-        Whose worker reads the files, when it has nothing else to do.
+    finalizer
+        Its worker reads the files while it finalizes none.
     lost
         Returns the missing files, with the reason (`lost_sets`).
     sha256_of
@@ -52,14 +52,14 @@ class IdleVerification(BackgroundTask):
     def __init__(
         self,
         folder: Path,
-        compaction: SetFinalizer,
+        finalizer: SetFinalizer,
         lost: Callable[[], Mapping[str, str]],
         sha256_of: Callable[[SetKey], str | None],
         note: Callable[[SetKey, str, str], None] = lambda set_key, file, sha256: None,
         *,
         mono_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._folder, self._compaction, self._mono_s = folder, compaction, mono_s
+        self._folder, self._finalizer, self._mono_s = folder, finalizer, mono_s
         self._lost, self._sha256_of, self._note = lost, sha256_of, note
         self._to_come: list[str] = []
         self._running: tuple[str, bool, Future[tuple[str, str]]] | None = None
@@ -104,7 +104,7 @@ class IdleVerification(BackgroundTask):
                 except _TROUBLE as error:
                     log.warning("%s is checked later: %s", file, error)
                     return
-                future_or_none = self._compaction.submit(damage_of, self._folder / file, sha256)
+                future_or_none = self._finalizer.submit(damage_of, self._folder / file, sha256)
                 if future_or_none is not None:
                     self._running = file, sha256 is not None, future_or_none
                     del self._to_come[0]

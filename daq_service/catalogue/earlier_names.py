@@ -1,4 +1,4 @@
-"""Read rows of earlier schemas: columns, nested keys, kinds and states to 0013, set numbers to 0015.
+"""Read rows of earlier schemas: columns, nested keys, kinds and states to 0016, set numbers to 0015.
 
 The migration stores them with the current names; the history keeps its lines, which are converted as they
 are read. No current name is also an earlier one of the same table, so current rows stay as they are.
@@ -44,6 +44,7 @@ _DIAGNOSIS = {
 }
 _RATE = {"rate_guaranteed": "rate_verified", "why_not_guaranteed": "rate_not_verified_reason"}
 _LIMITS = {"limit_f": "limit_f_predictive", "limit_paper": "limit_mean_3sd"}
+_LIMIT_NAMES = {"chart": "mewma"}
 COLUMNS: Mapping[str, Mapping[str, str]] = MappingProxyType(
     {
         "baselines": {**_LIMITS, "readiness": "baseline_quality", "retired_because": "retired_reason"},
@@ -67,26 +68,33 @@ _KEYS: Mapping[str, Mapping[str, str]] = {
     "baseline_quality": {**_RATE, "default_because": "default_reason"},
     "evidence": {**_DIAGNOSIS, **_RATE, "poor_sets_running": "consecutive_poor_sets"},
     "confirmation": {"why_not": "reason"},
-    "service": {"because": "reason", "told": "description"},
+    "service": {"because": "reason", "told": "description", "held": "paused"},
+    "sets": {"cause": "reason"},
+    "audit": {"who": "author", "why": "reason"},
+    "limits": _LIMIT_NAMES,
+    "averages": _LIMIT_NAMES,
 }
 _VALUES: Mapping[tuple[str, str], Mapping[str, str]] = {
     ("sets", "state"): {"retired": "disabled"},
     ("assessments", "diagnosis"): {"cannot tell": "undetermined"},
     ("evidence", "diagnosis"): {"cannot tell": "undetermined"},
-    ("evidence", "raised_by"): {"cause": "diagnosis"},
+    ("evidence", "raised_by"): {"cause": "diagnosis", **_LIMIT_NAMES},
+    ("evidence", "limit_name"): _LIMIT_NAMES,
+    ("assessments", "limit_name"): _LIMIT_NAMES,
     ("alarms", "kind"): EARLIER_ALARM_KINDS,
     ("alarms", "alarm_class"): {"device": "diagnostic"},
     ("events", "topic"): TOPICS,
     ("events", "kind"): EVENT_KINDS,
     ("commands", "kind"): COMMAND_KINDS,
     ("commands", "state"): {"refused": "rejected"},
+    ("audit", "result"): {"refused": "rejected"},
     **{
         (table, name): {"lost": "no_communication"}
         for table in ("environment", "evidence")
         for name in ("supply_quality", "climate_quality")
     },
 }
-_NESTED = ("baseline_quality", "evidence", "confirmation")
+_NESTED = ("baseline_quality", "evidence", "confirmation", "limits", "averages")
 SET_COLUMNS: Mapping[str, str] = MappingProxyType(
     {
         name: name.replace("set_index", "unscheduled_index")

@@ -55,11 +55,11 @@ PARTS: Mapping[type[Row], Mapping[tuple[str, ...], PublishedColumn]] = {
         ("baseline_quality", "false_alarms_per_sensor_year"): _part("false_alarms_per_sensor_year"),
         ("baseline_quality", "rate_verified"): _part("rate_verified", "truth"),
         ("baseline_quality", "rate_not_verified_reason"): _part("rate_not_verified_reason", "text"),
-        ("limits", "chart"): _part("mewma_limit"),
+        ("limits", "mewma"): _part("mewma_limit"),
         ("limits", "default"): _part("limit_default"),
     },
     AssessmentRow: {
-        ("limits", "chart"): _part("mewma_limit"),
+        ("limits", "mewma"): _part("mewma_limit"),
         **{
             ("diagnosis_details", "probabilities", name): _part(f"probability_{name}")
             for name in (OK, *CAUSES)

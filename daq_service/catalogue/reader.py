@@ -409,10 +409,10 @@ class Catalogue:
         """Return the newest event of a topic that every set reports; None if there is none."""
         return self._newest_row(EventRow, events.c.topic == topic)
 
-    def held(self) -> str | None:
-        """Return who holds the test and why; None if it is not held."""
+    def paused(self) -> str | None:
+        """Return who paused the test and why; None if it is not paused."""
         event = self.last_service_event("pause", "resume")
-        return None if event is None else event.payload["held"] or None
+        return None if event is None else event.payload["paused"] or None
 
     def last_event_id(self) -> int:
         """Return the id of the newest event, 0 before the first."""

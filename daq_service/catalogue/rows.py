@@ -90,7 +90,7 @@ class SetRow(RowOfSet):
     started_utc_ns: Annotated[int | None, "Time of its first strike; null: none"] = None
     ended_utc_ns: Annotated[int | None, "Time of its last record; null: none"] = None
     state: Annotated[SetState, "Result of the set"]
-    cause: Annotated[str | None, "Why the set is not complete; null: it is"] = None
+    reason: Annotated[str | None, "Why the set is not complete; null: it is"] = None
     n_planned: Annotated[int, "Planned shots"]
     n_taken: Annotated[int, "Stored shots"] = 0
     n_valid: Annotated[int, "Valid shots"] = 0

@@ -278,7 +278,7 @@ def guarded_drive(settings: Settings, folder: Path) -> Iterator[Callable[[], Non
         yield lambda: None
         return
     with remote_drive(settings, settings.rig.driven, folder, watches=False) as remote:
-        yield DriveGuard(folder, remote, check_every_s=settings.rig.driven.unwatched_s).check
+        yield DriveGuard(folder, remote, check_every_s=settings.rig.driven.watchdog_timeout_s).check
 
 
 def drive_alone(*, config: Path | None, data_dir: Path | None, for_recorder: bool) -> int:

@@ -198,8 +198,8 @@ class ProgressReport:
         text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
         self._put(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
-    def _hear_waits(self, *, why: str) -> None:
-        self._put(f"waiting: {why}", style="yellow")
+    def _hear_waits(self, *, reason: str) -> None:
+        self._put(f"waiting: {reason}", style="yellow")
 
     def _hear_asked(
         self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: object
@@ -207,9 +207,9 @@ class ProgressReport:
         shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
         self._put(f"{text}{shot}: within {duration(within_s)}", style="bold")
 
-    def _hear_gap(self, *, set_index: int, state: str, positions: list[str], cause: str) -> None:
-        """Print the first of consecutive incomplete sets with one cause; of the rest the last one."""
-        description = f"{state} at {', '.join(positions)}: {cause}"
+    def _hear_gap(self, *, set_index: int, state: str, positions: list[str], reason: str) -> None:
+        """Print the first of consecutive incomplete sets with one reason; of the rest the last one."""
+        description = f"{state} at {', '.join(positions)}: {reason}"
         if self._gap is not None and self._gap[0] == description:
             self._gap = (description, self._gap[1], set_index)
             return

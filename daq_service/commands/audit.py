@@ -1,4 +1,4 @@
-"""``audit.jsonl``: who requested what, from where, and with which result.
+"""``audit.jsonl``: author, operation, source and result of each request.
 
 Append-only lines like those of ``history.jsonl``, in a separate file: it also has requests that are rejected
 before there is a catalogue, or while that is corrupt, and survives a lost catalogue. Every process may add
@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
+from daq_service.catalogue.earlier_names import current_row
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.line_file import append_line, newest_lines
 
@@ -23,43 +24,43 @@ log = logging.getLogger(__name__)
 
 AUDIT_FILE = "audit.jsonl"
 TABLE = "audit"
-MOST_REFUSALS, REFUSAL_EVERY_S = 100, 120.0
-"""Lines of refusals of one name, or of all strangers: so many at once, then one each two minutes. A flood
-for a year comes to 80 MB."""
+MOST_REJECTIONS, REJECTION_EVERY_S = 100, 120.0
+"""Maximum number of rejections written at once for one name, or for all unknown persons, and the interval of
+the following ones: 80 MB in a year of a flood."""
 TERMINAL = "terminal"
-"""Where who asks sits at the computer itself."""
-Result = Literal["accepted", "done", "refused", "failed"]
+"""Source of a request that is made at the computer itself."""
+Result = Literal["accepted", "done", "rejected", "failed"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class AuditEntry:
-    """What somebody asked for.
+    """Request of a person or program, and its result.
 
     Attributes
     ----------
-    who
-        Name of the token, or the one that was claimed; empty: nobody knows.
+    author
+        Name of the token, or the claimed one; empty: unknown.
     role
-        Of the token, ``claimed``, or empty for a stranger.
+        Role of the token, ``claimed``, or empty if not logged in.
     source
         Network address, or ``terminal``.
     what
-        Kind of an order, or what it was about: ``log_in``, ``create_token``, ``enter``.
-    result, why
-        What came of it; ``accepted`` is an order that a recorder has yet to carry out.
+        Kind of a command, or another operation: ``log_in``, ``create_token``, ``enter``.
+    result, reason
+        Result, with the reason of a rejection or failure; ``accepted``: the recorder has yet to execute it.
     command_id
-        Row of ``commands`` that tells what became of it.
+        Row of ``commands`` that has its outcome.
     left_out
-        Refusals before this one that are not told.
+        Number of rejections before this one that were not written.
     """
 
-    who: str
+    author: str
     role: str
     source: str
     what: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     result: Result
-    why: str = ""
+    reason: str = ""
     command_id: int | None = None
     left_out: int = 0
     utc_ns: int = field(default_factory=time.time_ns)
@@ -101,19 +102,19 @@ class Audit:
         """Append an entry, unless it is a rejection above the rate limit."""
         entry = AuditEntry(**fields)
         with self._lock:
-            if entry.result == "refused" and not self._allowance(entry).take():
+            if entry.result == "rejected" and not self._allowance(entry).take():
                 self._left_out += 1
                 return
             left_out, self._left_out = self._left_out, 0
         try:
             append_line(self._path, TABLE, asdict(entry) | {"left_out": left_out})
         except OSError as error:
-            log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, entry.what, entry.result, entry.who, error)
+            log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, entry.what, entry.result, entry.author, error)
 
     def _allowance(self, entry: AuditEntry) -> Allowance:
-        name = entry.who if entry.role not in ("", "claimed") else entry.role
+        name = entry.author if entry.role not in ("", "claimed") else entry.role
         if name not in self._allowances:
-            self._allowances[name] = Allowance(MOST_REFUSALS, REFUSAL_EVERY_S, machine=self._machine)
+            self._allowances[name] = Allowance(MOST_REJECTIONS, REJECTION_EVERY_S, machine=self._machine)
         return self._allowances[name]
 
 
@@ -132,6 +133,11 @@ def read_audit(
         The file cannot be read.
     """
     lines, before = newest_lines(
-        folder / AUDIT_FILE, limit=limit, end=end, wanted=lambda row: wanted(AuditEntry(**row))
+        folder / AUDIT_FILE, limit=limit, end=end, wanted=lambda row: wanted(_entry(row))
     )
-    return [(number, AuditEntry(**row)) for number, row in lines], before
+    return [(number, _entry(row)) for number, row in lines], before
+
+
+def _entry(row: Mapping[str, Any]) -> AuditEntry:
+    """Return the entry of a line of any version."""
+    return AuditEntry(**current_row(TABLE, row))

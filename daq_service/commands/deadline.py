@@ -51,6 +51,6 @@ def command_state(catalogue: Catalogue, order_id: int) -> tuple[CommandRow, floa
     return with_expiry(row, seconds_left), seconds_left
 
 
-def expired_reason(why: str) -> str:
+def expired_reason(reason: str) -> str:
     """Return the answer to a command that was not started."""
-    return f"not carried out, and nobody will: {why}; give it again if it is still wanted"
+    return f"not executed: {reason}; send it again if it is still needed"

@@ -48,7 +48,7 @@ class CommandExecutor:
 
     Attributes
     ----------
-    held
+    paused
         Who paused the test and why; empty while it runs. A pause continues after a restart.
     """
 
@@ -67,7 +67,7 @@ class CommandExecutor:
         self._answers: dict[int, Answer] = {}
         self._awaited: dict[int, PendingAnswer] = {}
         # A restart never ends a pause.
-        self.held = catalogue.held() or ""
+        self.paused = catalogue.paused() or ""
 
     def begin(self) -> None:
         """Close the commands that an earlier recorder left open, without executing them."""
@@ -75,11 +75,11 @@ class CommandExecutor:
             self.close("it was given before this recorder began")
             self._has_started = True
 
-    def close(self, why: str) -> None:
+    def close(self, reason: str) -> None:
         """Answer every open command without executing it."""
         for row in self._catalogue.open_commands():
             is_unknown = row.state == "started" and not KINDS.get(row.kind, Command).rows_only
-            answer = FAILED if is_unknown else ("expired", expired_reason(why))
+            answer = FAILED if is_unknown else ("expired", expired_reason(reason))
             self._finish(row, self._answers.get(row.id, answer))
 
     def listen(self) -> None:
@@ -89,7 +89,7 @@ class CommandExecutor:
             # Once: if the disk cannot store an answer, the supply must not be switched on a second time.
             answer = self._answers.get(row.id) or self._execute(row)
             # Read from the catalogue, as after a restart.
-            self.held = self._catalogue.held() or ""
+            self.paused = self._catalogue.paused() or ""
             if answer is not None:
                 self._answers[row.id] = answer
                 self._finish(row, answer)
@@ -150,7 +150,7 @@ class CommandExecutor:
     def _facts(self) -> Facts:
         return Facts(
             can_skip_time=isinstance(self._test.clock, SimulatedClock),
-            held=self.held,
+            paused=self.paused,
             positions=self._test.positions,
             has_supply=self._test.supply is not None,
             alarms=list(self._test.alarms.values()),

@@ -47,7 +47,7 @@ class Facts:
         The recorder's lock is held, or this is unknown.
     can_skip_time
         The test runs on a simulated clock; for the web service: on a paced one.
-    held
+    paused
         Who paused the test and why; empty while it runs.
     positions
         The solitary-wave transducers.
@@ -64,7 +64,7 @@ class Facts:
     recorder: str = "running"
     recorded: bool = True
     can_skip_time: bool
-    held: str
+    paused: str
     positions: Sequence[str]
     has_supply: bool
     alarms: Sequence[AlarmRow]
@@ -378,12 +378,12 @@ class Pause(Command):
     arguments: ReasonArguments
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
-        reason = f"the test is already paused: {facts.held}"
-        return Refusal(reason, "Resume it first; a pause has one reason.") if facts.held else None
+        reason = f"the test is already {facts.paused}"
+        return Refusal(reason, "Resume it first; a pause has one reason.") if facts.paused else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        text = f"held by {self.author}: {self.arguments.note}"
-        test.store_event("pause", {"held": text, "author": self.author})
+        text = f"paused by {self.author}: {self.arguments.note}"
+        test.store_event("pause", {"paused": text, "author": self.author})
         return "paused: nothing strikes until the test is resumed; due sets are missed"
 
 
@@ -396,10 +396,10 @@ class Resume(Command):
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
         hint = "Only a paused test can be resumed."
-        return None if facts.held else Refusal("the test is not paused", hint)
+        return None if facts.paused else Refusal("the test is not paused", hint)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
-        test.store_event("resume", {"held": "", "author": self.author, "note": self.arguments.note})
+        test.store_event("resume", {"paused": "", "author": self.author, "note": self.arguments.note})
         return "resumed: the next due set is taken"
 
 
@@ -434,7 +434,7 @@ class TransducerCommand(Command):
             missing = f"there is no solitary-wave transducer {position!r}"
             names = f"there are: {', '.join(facts.positions) or 'none'}"
             return Refusal(f"{missing}; {names}", f"T{names[1:]}.", f"T{missing[1:]}.")
-        return self._forbidden_at(position, states.retired_positions(facts.alarms).get(position))
+        return self._forbidden_at(position, states.disabled_positions(facts.alarms).get(position))
 
     def _forbidden_at(self, position: str, disabled: str | None) -> Refusal | None:
         """Return the rejection at a transducer that is disabled for this reason."""
@@ -455,7 +455,7 @@ class Disable(TransducerCommand):
             priority="medium",
             present=True,
             latched=True,
-            message=f"retired by {self.author}: {self.arguments.note or 'no reason given'}",
+            message=f"disabled by {self.author}: {self.arguments.note or 'no reason given'}",
             evidence={"command_id": order_id},
         )
         change = states.update(test.alarms.get((position, "transducer_disabled")), condition, moment)
@@ -492,8 +492,8 @@ class Strike(TransducerCommand):
     kind: Literal["strike"]
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
-        if facts.held:
-            reason = f"the test is paused: {facts.held}"
+        if facts.paused:
+            reason = f"the test is {facts.paused}"
             return Refusal(reason, "Resume it when all hands are out of the rig.")
         return super()._forbidden(facts)
 

@@ -73,7 +73,7 @@ def send_command(
     _, folder = settings_and_folder(config, data_dir)
     refuse_other_folders(folder)
     audit = partial(
-        Audit(folder).add, who=author, role="claimed", source=TERMINAL, what=kind, arguments=all_arguments
+        Audit(folder).add, author=author, role="claimed", source=TERMINAL, what=kind, arguments=all_arguments
     )
     try:
         with open_catalogue(folder) as catalogue:
@@ -82,7 +82,7 @@ def send_command(
             audit(result="accepted", command_id=order_id)
             row = _wait_for_answer(catalogue, order_id, carried_out_within_s, machine)
     except BusyError as error:
-        audit(result="refused", why=str(error))
+        audit(result="rejected", reason=str(error))
         raise
     if as_json:
         names = ("id", "kind", "author", "arguments", "state", "result")

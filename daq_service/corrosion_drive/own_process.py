@@ -1,6 +1,6 @@
 """Supply process: owns the supply, logs, integrates charge, runs the interlock and watches the recorder.
 
-It outlives the recorder. Without a request of a recorder for ``rig.supply.unwatched_s`` the output is
+It outlives the recorder. Without a request of a recorder for ``rig.supply.watchdog_timeout_s`` the output is
 switched off, read back and stays off until a person's command; the clock counts sleep and is independent of
 steps of UTC. It energises only at a command from a recorder, and it ends once no command is in force and the
 output has been read as off. Files are written in a thread: a disk that hangs does not delay the interlock.
@@ -68,7 +68,7 @@ def fingerprint(parameters: DriveParameters) -> str:
 
 
 def next_action(
-    *, silent_s: float, alone_s: float, unwatched_s: float, commanded: bool, pending: bool, stays: bool
+    *, silent_s: float, alone_s: float, watchdog_timeout_s: float, commanded: bool, pending: bool, stays: bool
 ) -> Action:
     """Return the next action from the time without a recorder.
 
@@ -82,8 +82,8 @@ def next_action(
         The process does not end by itself.
     """
     if commanded:
-        return "switch off" if silent_s >= unwatched_s else "stay"
-    done = not pending and alone_s >= min(unwatched_s, LEAVE_AFTER_S)
+        return "switch off" if silent_s >= watchdog_timeout_s else "stay"
+    done = not pending and alone_s >= min(watchdog_timeout_s, LEAVE_AFTER_S)
     return "leave" if done and not stays else "stay"
 
 
@@ -127,13 +127,13 @@ class DriveProcess:
         stored = read_stored_state(folder)
         now_ns = self._clock.mono_ns()
         self._drive = SupplyLogger(
-            supply, self._clock, parameters, _restored(stored, parameters.unwatched_s, now_ns)
+            supply, self._clock, parameters, _restored(stored, parameters.watchdog_timeout_s, now_ns)
         )
         self._heard_ns = self._met_ns = now_ns
         if stored is not None and stored.boot_id == boot_name() is not None:
-            grace_s = min(GRACE_S, parameters.unwatched_s)
+            grace_s = min(GRACE_S, parameters.watchdog_timeout_s)
             self._heard_ns = max(
-                stored.heard_boot_ns, now_ns - round((parameters.unwatched_s - grace_s) * NS_PER_S)
+                stored.heard_boot_ns, now_ns - round((parameters.watchdog_timeout_s - grace_s) * NS_PER_S)
             )
         self._last_read_port = "" if stored is None else stored.supply_port
         self._stored: StoredState | None = None
@@ -157,7 +157,7 @@ class DriveProcess:
         action = next_action(
             silent_s=silent_s,
             alone_s=(now_ns - self._met_ns) / NS_PER_S,
-            unwatched_s=self._parameters.unwatched_s,
+            watchdog_timeout_s=self._parameters.watchdog_timeout_s,
             commanded=self._drive.state.command is not None,
             pending=self._drive.must_switch_off or self._drive.output() == "on",
             stays=self._stays,
@@ -166,7 +166,7 @@ class DriveProcess:
             log.error("no recorder for %.0f s: switching off", silent_s)
             self._drive.trip(
                 f"no recorder was heard for {silent_s:.0f} s "
-                f"(unwatched_s = {self._parameters.unwatched_s:g} s)",
+                f"(watchdog_timeout_s = {self._parameters.watchdog_timeout_s:g} s)",
                 kind="supply_watchdog_trip",
             )
         self.leaves = self.leaves or action == "leave"
@@ -348,11 +348,11 @@ class DriveProcess:
                 self._successor_port = request["supply_port"]
 
 
-def _restored(before: StoredState | None, unwatched_s: float, now_ns: int) -> DriveState:
-    """Return the state to restore: a command ends with its boot, or ``unwatched_s`` without a process."""
+def _restored(before: StoredState | None, watchdog_timeout_s: float, now_ns: int) -> DriveState:
+    """Return the state to restore; a command outlives no boot, nor ``watchdog_timeout_s`` without process."""
     if before is None:
         return DriveState()
-    if before.boot_id == boot_name() and before.written_before_s(now_ns) <= unwatched_s:
+    if before.boot_id == boot_name() and before.written_before_s(now_ns) <= watchdog_timeout_s:
         return before.state
     return replace(before.state, command=None)
 

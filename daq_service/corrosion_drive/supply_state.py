@@ -83,7 +83,7 @@ class Address:
 def hold_supply_lock(folder: Path, address: Address) -> AbstractContextManager[object]:
     """Hold the lock of the supply, with an address readable only by this user; raise `BusyError` if held."""
     text = f"process {os.getpid()}\n{json.dumps(asdict(address))}"
-    return hold_lock(folder, DRIVE_LOCK, text, who="process of the drive", mode=0o600)
+    return hold_lock(folder, DRIVE_LOCK, text, holder="process of the drive", mode=0o600)
 
 
 def address_of(folder: Path) -> Address:

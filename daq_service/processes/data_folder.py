@@ -244,7 +244,7 @@ def refuse_other_folders(folder: Path) -> None:
 def own_data_folder(folder: Path, *, patience_s: float = PATIENCE_S) -> AbstractContextManager[object]:
     """Hold the recorder's lock; raise `BusyError` if another recorder holds it for ``patience_s``."""
     text = f"process {os.getpid()}"
-    return hold_lock(folder, LOCK_FILE, text, who="recorder", patience_s=patience_s)
+    return hold_lock(folder, LOCK_FILE, text, holder="recorder", patience_s=patience_s)
 
 
 @contextmanager
@@ -253,7 +253,7 @@ def hold_lock(
     name: str,
     text: str,
     *,
-    who: str,
+    holder: str,
     mode: int | None = None,
     patience_s: float = PATIENCE_S,
 ) -> Iterator[IO[bytes]]:
@@ -263,7 +263,7 @@ def hold_lock(
     ----------
     text
         First line: the owner, for a person. The rest is never shown.
-    who
+    holder
         Kind of process that holds the lock.
     mode
         Rights of the file; None: those of the user's other files.
@@ -297,7 +297,7 @@ def hold_lock(
         except OSError as error:
             owner, _, _ = lock_text(folder, name).partition("\n")
             raise BusyError(
-                f"another {who} owns {folder} ({owner}); stop it first, or choose another "
+                f"another {holder} owns {folder} ({owner}); stop it first, or choose another "
                 "folder with --data-dir"
             ) from error
         with suppress(OSError):  # a full disk: the lock counts, not the text

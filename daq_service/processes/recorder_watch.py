@@ -74,7 +74,7 @@ class RecorderWatch:
         stored_ns = (recorded and recorded.ended_utc_ns) or 0
         self._count_restarts(fresh)
         stored_h = (stored_ns - fresh.epoch_utc_ns) / NS_PER_H
-        finding = self._missing_reason(fresh, stored_h, is_paused=catalogue.held() is not None)
+        finding = self._missing_reason(fresh, stored_h, is_paused=catalogue.paused() is not None)
         is_active = bool(rows) and rows[-1].state in ("unacknowledged", "acknowledged")
         is_over = is_active and (fresh.recorder.status == "finished" or stored_ns > rows[-1].changed_utc_ns)
         if is_over or (finding and not is_active):

@@ -70,14 +70,14 @@ class SetAcquisition:
         taken = TakenSet(
             rule=self._restrike_rule(),
             # As of now: a command during the set changes what is struck, not what was planned.
-            retired=self._set_assessor.retired() | left_out,
+            disabled=self._set_assessor.disabled() | left_out,
             started_ns=self._rig.clock.utc_ns(),
         )
         self._archive.begin_set(
             due.set_key,
             due_utc_ns=due.due_utc_ns,
             started_utc_ns=taken.started_ns,
-            retired=taken.retired,
+            disabled=taken.disabled,
         )
         return taken
 
@@ -89,7 +89,7 @@ class SetAcquisition:
     def restored(self, opened: OpenSet) -> TakenSet:
         """Return what an earlier recorder took of a set."""
         taken = TakenSet(
-            rule=self._restrike_rule(), retired=dict(opened.retired), started_ns=opened.started_utc_ns
+            rule=self._restrike_rule(), disabled=dict(opened.disabled), started_ns=opened.started_utc_ns
         )
         taken.restore(opened)
         taken.features.update({shot.sequence: self.features_of(shot) for shot in taken.shots})
@@ -113,7 +113,7 @@ class SetAcquisition:
             positions={
                 name: place.method
                 for name, place in self._settings.positions.items()
-                if name not in taken.retired
+                if name not in taken.disabled
             },
             shots_per_set=schedule.shots_per_set,
             shot_interval_s=schedule.shot_interval_s,
@@ -125,9 +125,9 @@ class SetAcquisition:
             progress=taken.progress(self._struck) if taken.progress(()).tried else None,
             first_sequence=self.next_sequence,
             boot_id=self._boot_id,
-            idle=lambda: idle() and not self._commands.held,
+            idle=lambda: idle() and not self._commands.paused,
             wants_restrike=taken.wants_restrike,
-            may_strike=lambda position: position not in self._set_assessor.retired(),
+            may_strike=lambda position: position not in self._set_assessor.disabled(),
         )
         try:
             yield from measurements
@@ -166,8 +166,8 @@ class SetAcquisition:
         """State why a position has fewer records than planned; empty: it has all."""
         end_reason = (
             cut_short_reason
-            or self._set_assessor.retired().get(position)
-            or self._commands.held
+            or self._set_assessor.disabled().get(position)
+            or self._commands.paused
             or "the recorder was told to stop"
         )
         return taken.shortfall(position, self._set_assessor.n_planned[position], end_reason)
@@ -184,7 +184,7 @@ class SetAcquisition:
                 serial_number=place.serial_number,
             )
             for name, place in self._settings.positions.items()
-            if name not in taken.retired
+            if name not in taken.disabled
         ]
         return SetRecord(
             set_index=due.set_index,

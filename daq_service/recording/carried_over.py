@@ -81,7 +81,7 @@ class CarriedOver:
         found = []
         for set_key, opened in self.open_sets.items():
             if set_key.unscheduled_index:
-                (position,) = (name for name in self._positions if name not in opened.retired)
+                (position,) = (name for name in self._positions if name not in opened.disabled)
                 found.append(replace(self._due_of(opened), position=position))
         return found
 
@@ -99,12 +99,12 @@ class CarriedOver:
         left_out = (
             dict.fromkeys(self._positions, "not asked for")
             if unscheduled_index
-            else self._set_assessor.retired()
+            else self._set_assessor.disabled()
         )
         return replace(
             opened,
             due_utc_ns=known[0] if known else opened.due_utc_ns,
-            retired={name: reason for name, reason in left_out.items() if name not in struck},
+            disabled={name: reason for name, reason in left_out.items() if name not in struck},
         )
 
     def _end_again(self, opened: OpenSet) -> None:

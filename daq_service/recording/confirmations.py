@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
 from daq_service.acquisition.schedule import DueSet, due_hours, unscheduled_set
-from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, retired_positions
+from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, disabled_positions
 from daq_service.assessment.confirmation import (
     CONFIRMATION_ASKED,
     Confirmation,
@@ -98,7 +98,7 @@ class Confirmations:
     ) -> None:
         """Add what suspicion asks for after a planned set to its transaction, if it may."""
         own = [row for row in alarms.values() if row.position == position]
-        if retired_positions(own) or any(row.suppressed == "out_of_service" for row in own):
+        if disabled_positions(own) or any(row.suppressed == "out_of_service" for row in own):
             return
         at_h = planned.due_h + (moment.utc_ns - planned.due_utc_ns) / NS_PER_H
         if not rejection_reason(

@@ -155,7 +155,7 @@ class DueSets:
         """Return why an unscheduled set cannot be taken: late or transducer disabled; empty: it can."""
         if due.position is None:
             return ""
-        if reason := self._set_assessor.retired().get(due.position):
+        if reason := self._set_assessor.disabled().get(due.position):
             return reason
         now_ns = self._clock.utc_ns()
         if now_ns > due.due_utc_ns + NS_PER_H:

@@ -20,25 +20,25 @@ log = logging.getLogger(__name__)
 def nothing_taken(
     assessor: SetAssessor,
     due: DueSet,
-    causes: Mapping[str, str],
+    reasons: Mapping[str, str],
     *,
     utc_ns: int,
     tried: TakenSet | None = None,
 ) -> Transaction:
-    """Return the rows of a set without a record, with the causes but no file; to be committed.
+    """Return the rows of a set without a record, with the reasons but no file; to be committed.
 
     Parameters
     ----------
-    causes
+    reasons
         Why there is none, by position.
     tried
         The attempts, which show the state of the instruments; None: there were none.
     """
     moment = Moment(utc_ns=utc_ns, due_h=due.due_h, **due.set_key._asdict())
     transaction = Transaction()
-    retired = assessor.retired() if tried is None else tried.retired
+    disabled = assessor.disabled() if tried is None else tried.disabled
     for position in assessor.positions_of(due):
-        gone = position in retired
+        gone = position in disabled
         missed = (
             []
             if tried is None
@@ -52,8 +52,8 @@ def nothing_taken(
             assessor.without_records(
                 due,
                 position,
-                retired=gone,
-                cause=retired.get(position) or causes[position],
+                disabled=gone,
+                reason=disabled.get(position) or reasons[position],
             ),
             n_missed=len(missed),
             n_restrikes=restrikes,
@@ -65,7 +65,7 @@ def nothing_taken(
         unanswered = "" if tried.trouble is not None else lost_cause(tried.missed)
         payload = rig_condition(due, tried.instrument_error(), unanswered, proven=assessor.proven)
         assessor.carry_alarm(payload, moment, transaction)
-    log.warning("set %s missed: %s", due.set_key, next(iter(causes.values())))
+    log.warning("set %s missed: %s", due.set_key, next(iter(reasons.values())))
     if due.position is not None:
         add_confirmation(assessor.alarms, due.position, transaction, moment)
         return transaction

@@ -199,8 +199,8 @@ class Recorder:
         """State why a set that is due is not taken; empty: it is."""
         if reason := self._due_sets.hindrance(due):
             return reason
-        if self._commands.held or self._persistence.trouble is None or self._persistence.has_room:
-            return self._commands.held
+        if self._commands.paused or self._persistence.trouble is None or self._persistence.has_room:
+            return self._commands.paused
         return f"the memory for what waits is full: {self._persistence.trouble.message}"
 
     def _record_gap(self, due: DueSet, reason: str) -> None:
@@ -222,7 +222,7 @@ class Recorder:
 
     def _stays_open(self, taken: TakenSet) -> bool:
         """Leave a set that a stop cut short to the next recorder; the journal keeps its shots."""
-        cut = self._stop.is_set() and not self._commands.held and taken.trouble is None
+        cut = self._stop.is_set() and not self._commands.paused and taken.trouble is None
         return cut and not self._acquisition.is_complete(taken) and self._persistence.acknowledge()
 
     def _end(self) -> bool:

@@ -186,7 +186,7 @@ def _with_background_tasks(
         folder, archive, start=bare.host.worker, results=results, filed=note_file, also=tiles
     )
     # One that has no rows yet gets them first: its file holds a copy of them.
-    for set_key in sorted(catalogue.committed_sets(archive.to_compact())):
+    for set_key in sorted(catalogue.committed_sets(archive.to_finalize())):
         finalizer.after_set(set_key)
     verification = IdleVerification(
         folder, finalizer, partial(lost_sets, folder, catalogue), catalogue.digest_of, note_file

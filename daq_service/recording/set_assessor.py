@@ -21,7 +21,7 @@ from daq_service.alarms.states import (
     Condition,
     Moment,
     add_evidence,
-    retired_positions,
+    disabled_positions,
     update,
 )
 from daq_service.archive import SetReader, SetRecord
@@ -119,9 +119,9 @@ class SetAssessor:
         )
         return position_result.conditions
 
-    def retired(self) -> dict[str, str]:
+    def disabled(self) -> dict[str, str]:
         """Transducers that strike no more, and why."""
-        return retired_positions(self.alarms.values())
+        return disabled_positions(self.alarms.values())
 
     def assessed(
         self,
@@ -142,22 +142,22 @@ class SetAssessor:
             Where the record lies, and the SHA-256 of the file if it is made.
         """
         moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, **due.set_key._asdict())
-        causes = {position.position: position.cause for position in record.positions}
-        retired = self.retired()
+        reasons = {position.position: position.cause for position in record.positions}
+        disabled = self.disabled()
         transaction = Transaction()
         suspicions: dict[str, str] = {}
         for position in self.positions_of(due):
-            if position not in causes:
-                cause = retired.get(position, "disabled")
-                transaction.sets.append(self.without_records(due, position, retired=True, cause=cause))
+            if position not in reasons:
+                reason = disabled.get(position, "disabled")
+                transaction.sets.append(self.without_records(due, position, disabled=True, reason=reason))
                 continue
             measurements = [item for item in record.records if item.key.position == position]
             assessor = self.assessors[position]
             assess_set = assessor.assess_set if due.position is None else assessor.assess_unscheduled
             position_result = assess_set(due, record, features)
             row = replace(
-                self.without_records(due, position, retired=False, cause=causes[position]),
-                state="done" if not causes[position] else "partial" if measurements else "missed",
+                self.without_records(due, position, disabled=False, reason=reasons[position]),
+                state="done" if not reasons[position] else "partial" if measurements else "missed",
                 n_taken=len(measurements),
                 n_valid=position_result.n_valid,
                 n_missed=n_missed(record, position),
@@ -186,14 +186,14 @@ class SetAssessor:
             return transaction
         if self._may_end(None, RECORDER_NOT_RUNNING):
             self.carry_alarm(recorder_condition("", due.due_h), moment, transaction)
-        self.proven = self.proven or not (record.trouble or any(causes.values()))
+        self.proven = self.proven or not (record.trouble or any(reasons.values()))
         standing = {**self.alarms, **{(row.position, row.kind): row for row in transaction.alarms}}
         for position, reason in suspicions.items():
             if reason:
                 self.confirmations.request(reason, due, position, standing, moment, transaction)
         return self.with_environment(due, moment, transaction)
 
-    def without_records(self, due: DueSet, position: str, *, retired: bool, cause: str) -> SetRow:
+    def without_records(self, due: DueSet, position: str, *, disabled: bool, reason: str) -> SetRow:
         """Make the row of a position that gave not one record, or was not asked for any."""
         return SetRow(
             set_index=due.set_index,
@@ -202,9 +202,9 @@ class SetAssessor:
             method=self._settings.positions[position].method,
             due_utc_ns=due.due_utc_ns,
             due_h=due.due_h,
-            state="disabled" if retired else "missed",
-            cause=cause or None,
-            n_planned=0 if retired else self.n_planned[position],
+            state="disabled" if disabled else "missed",
+            reason=reason or None,
+            n_planned=0 if disabled else self.n_planned[position],
             purpose=None if due.position is None else "confirmation",
         )
 
@@ -338,9 +338,9 @@ def _report_changes(transaction: Transaction, news: Callable[..., None]) -> None
     lacking: dict[tuple[int, str, str], list[str]] = {}
     for row in transaction.sets:
         if row.state in ("missed", "partial") and row.purpose is None:
-            lacking.setdefault((row.set_index, row.state, row.cause or ""), []).append(row.position)
-    for (set_index, state, cause), positions in lacking.items():
-        news("gap", set_index=set_index, state=state, cause=cause, positions=positions)
+            lacking.setdefault((row.set_index, row.state, row.reason or ""), []).append(row.position)
+    for (set_index, state, reason), positions in lacking.items():
+        news("gap", set_index=set_index, state=state, reason=reason, positions=positions)
     for at, row_at in transaction.alarm_of_event.items():
         alarm = transaction.alarms[row_at]
         since_h = (alarm.changed_utc_ns - alarm.raised_utc_ns) / NS_PER_H

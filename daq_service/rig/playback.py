@@ -159,7 +159,7 @@ class ArchivedShots:
 
 
 def _positions(record: SetRecord) -> dict[str, str]:
-    """Return positions and methods of a test: those of its configuration, retired or not, and of the set."""
+    """Return positions and methods of a test: those of its configuration, disabled or not, and of the set."""
     configured = record.provenance.get("configuration", {}).get("positions", {})
     return {
         **{name: place["method"] for name, place in configured.items()},

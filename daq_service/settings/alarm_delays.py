@@ -30,7 +30,7 @@ LONGEST_DELAY_S: Mapping[str, float] = {
     **dict.fromkeys(("supply_not_responding", "supply_off_unexpectedly", "supply_current_limit"), 10.0),
 }
 """By kind. What is absent follows its condition at once: something has been done already that hangs on the
-alarm (a transducer retired, an interlock opened, files named), or nobody might tell later (the recorder has
+alarm (a transducer disabled, an interlock tripped, files named), or nobody might tell later (the recorder has
 stopped, the disk does not take the event, the clock itself is doubted)."""
 DEAD_BAND_KINDS = ("wall_change", "transducer_change", "thickness_low")
 """Kinds that compare a measured quantity with a limit and have no dead-band of their own."""

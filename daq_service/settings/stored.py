@@ -18,7 +18,9 @@ from daq_service.settings.tables import KeyPath, Tables, flattened, nested
 from daq_service.settings.tree import HASHED_OUT, Settings
 from hardware_drivers.errors import ConfigurationError
 
-RENAMED: Mapping[str, str | None] = {}
+RENAMED: Mapping[str, str | None] = {
+    f"rig.{table}.unwatched_s": f"rig.{table}.watchdog_timeout_s" for table in ("supply", "drive")
+}
 """Keys or tables of earlier versions: dotted path (``*``: any one name) to today's path with as many ``*``,
 or None for one that went without changing what is measured."""
 

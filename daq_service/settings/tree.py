@@ -217,6 +217,7 @@ class NoveltySettings(Section):
     @field_validator("limit")
     @classmethod
     def _limit_is_known(cls, limit: str) -> str:
+        limit = {"chart": "mewma"}.get(limit, limit)  # stored by earlier versions
         if limit == cls.model_fields["limit"].default:
             return limit  # the list comes with SciPy, which readers of a folder do not need
         from analysis.statistics.named_limits import LIMITS

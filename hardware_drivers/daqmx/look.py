@@ -52,7 +52,7 @@ def board_findings(
     found += [_finding_of_board(finding, facts, parameters) for finding in facts.findings]
     found += [_watchdog(parameters, watchdog) for watchdog in parameters.all_watchdogs]
     if parameters.all_watchdogs:
-        found += _unwatched(parameters)
+        found += _boards_without_watchdog(parameters)
     return found
 
 
@@ -176,7 +176,7 @@ def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
     )
 
 
-def _unwatched(parameters: DaqmxParameters) -> list[Finding]:
+def _boards_without_watchdog(parameters: DaqmxParameters) -> list[Finding]:
     """Return warnings on boards that drive coils without a watchdog while others have one."""
     coils = {int(wiring.coil_serial, 16) for wiring in parameters.transducers.values() if wiring.strikes}
     return [

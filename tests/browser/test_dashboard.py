@@ -256,7 +256,7 @@ def test_finish_now_becomes_a_command_or_expires_on_the_page(filled, service, op
     with monkeypatch.context() as late:
         late.setattr("daq_service.commands.deadline.remaining_now_s", lambda row: 0.0)
         order()
-        expect(notice).to_contain_text("finish_now expired: not carried out, and nobody will")
+        expect(notice).to_contain_text("finish_now expired: not executed")
         expect(page.locator("#finish")).to_have_text("Finish now")
     order()
     expect(page.locator("#finish")).to_have_text(SENT)
@@ -289,12 +289,12 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     page.get_by_label("Reason").fill("once more")
     page.get_by_role("button", name="Pause test").click()
     expect(page.locator("#pause")).to_have_text(SENT)
-    answer(filled, "pause", {"note": "once more"}, "rejected", "the test is already paused: held by ann")
-    expect(page.locator("#notice")).to_have_text("the test is already paused: held by ann")
+    answer(filled, "pause", {"note": "once more"}, "rejected", "the test is already paused by ann")
+    expect(page.locator("#notice")).to_have_text("the test is already paused by ann")
     refreshes = dashboard(page, "refreshes")
     filled.say("orders", filled.due[N_SETS - 1].due_utc_ns, text="anything new")
     until(lambda: dashboard(page, "refreshes") > refreshes, "another reading")
-    expect(page.locator("#notice")).to_have_text("the test is already paused: held by ann")
+    expect(page.locator("#notice")).to_have_text("the test is already paused by ann")
     expect(page.locator("#pause")).to_have_text("Pause")
     page.get_by_role("button", name="Pause", exact=True).click()
     expect(page.get_by_label("Reason")).to_be_focused()
@@ -303,8 +303,8 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     expect(page.locator("#pause")).to_have_text(SENT)
     answer(filled, "pause", {"note": "hands in the rig"})
     at = filled.due[N_SETS - 1].due_utc_ns
-    filled.say("pause", at, held="held by dashboard: hands in the rig", author="dashboard")
-    expect(banner).to_contain_text("Held by dashboard: hands in the rig")
+    filled.say("pause", at, paused="paused by dashboard: hands in the rig", author="dashboard")
+    expect(banner).to_contain_text("Paused by dashboard: hands in the rig")
     expect(banner).to_contain_text("Nothing strikes until the test is resumed")
     expect(page.locator("#pause")).to_be_hidden()
     page.get_by_role("button", name="Resume", exact=True).click()
@@ -312,7 +312,7 @@ def test_a_pause_needs_a_reason_can_be_cancelled_or_rejected_and_stays_visible(o
     page.get_by_role("button", name="Resume test").click()
     expect(page.locator("#resume")).to_have_text(SENT)
     answer(filled, "resume", {"note": ""})
-    filled.say("resume", at, held="", author="dashboard")
+    filled.say("resume", at, paused="", author="dashboard")
     expect(banner).to_be_hidden()
     expect(page.locator("#pause")).to_have_text("Pause")
 
@@ -385,7 +385,9 @@ def test_positions_are_chosen_by_keyboard_and_charts_read_by_it_and_as_a_table(h
 def test_phone_width_shows_everything_without_sideways_scrolling(filled, service, open_page):
     filled.add_environment(N_SETS - 1)
     filled.retire("C", N_SETS)
-    filled.say("pause", filled.due[N_SETS - 1].due_utc_ns, held=f"held by ann: {'very long reason ' * 10}")
+    filled.say(
+        "pause", filled.due[N_SETS - 1].due_utc_ns, paused=f"paused by ann: {'very long reason ' * 10}"
+    )
     # A page opened later shows the pause, too.
     page = open_page(service.url, viewport=PHONE)
     for color_scheme in ("light", "dark"):

@@ -115,7 +115,7 @@ def test_the_demo_is_paused_resumed_finished_and_an_alarm_acknowledged(demo, ope
     page.get_by_role("button", name="Pause", exact=True).click()
     page.keyboard.type("hands in the rig")
     page.keyboard.press("Enter")
-    expect(page.locator("#paused")).to_contain_text("Held by dashboard: hands in the rig")
+    expect(page.locator("#paused")).to_contain_text("Paused by dashboard: hands in the rig")
     with httpx.Client(base_url=url) as api:
 
         def counts():
@@ -134,8 +134,8 @@ def test_the_demo_is_paused_resumed_finished_and_an_alarm_acknowledged(demo, ope
         expect(page.locator("#paused")).to_be_hidden()
         expect(waveform).not_to_have_attribute("data-sequence", waveform.get_attribute("data-sequence"))
         asked_until(page, lambda: counts()["shots"] > shots, "a shot was taken")
-        causes = {row["cause"] for row in api.get("/api/v1/sets?state=missed").json()["items"]}
-        assert causes == {"held by dashboard: hands in the rig"}
+        causes = {row["reason"] for row in api.get("/api/v1/sets?state=missed").json()["items"]}
+        assert causes == {"paused by dashboard: hands in the rig"}
 
         page.get_by_role("button", name="Finish now").click()
         page.get_by_role("button", name="Run to the end").click()

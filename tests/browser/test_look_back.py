@@ -285,7 +285,7 @@ def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
     index = 1 + filled.catalogue.rows(SetRow, position="B")[-1].set_index
     filled.retire("C", index)
     filled.add_environment(index)
-    filled.say("pause", filled.due[index].due_utc_ns, held="held by ann: hands in the rig")
+    filled.say("pause", filled.due[index].due_utc_ns, paused="paused by ann: hands in the rig")
     off = DriveState(tripped="no recorder was heard")
     write_stored_state(filled.folder, stored_state_now(off, output="off", age_s=2.0))
     # The experiment has gone on for hours without a set.
@@ -303,7 +303,7 @@ def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
         page.emulate_media(color_scheme=scheme)
         found = axe.run(page)
         assert found.violations_count == 0, found.generate_report()
-    filled.say("resume", filled.due[index].due_utc_ns, held="")
+    filled.say("resume", filled.due[index].due_utc_ns, paused="")
     filled.enable("C")
 
 

@@ -67,7 +67,13 @@ def service(filled):
     with served(filled.settings, filled.folder) as running:
         audit, noon = Audit(filled.folder), datetime.now().astimezone().replace(hour=12)
         for who, what, days in (("old", "pause", 2), ("cleo", "pause", 1), ("ben", "log_in", 1)):
-            entry = {"who": who, "what": what, "role": "operator", "source": "10.0.0.7", "result": "accepted"}
+            entry = {
+                "author": who,
+                "what": what,
+                "role": "operator",
+                "source": "10.0.0.7",
+                "result": "accepted",
+            }
             at = noon - timedelta(days=days)
             audit.add(**entry, arguments={"note": "new sensor"}, utc_ns=int(at.timestamp()) * 10**9)
         yield running
@@ -149,7 +155,7 @@ def is_shelved_for_eight_hours(page, api, filled):
     alarm = page.locator(f'[data-alarm="{OF_C}"]')
     expect(alarm).to_contain_text("Shelved")
     shelved = api(f"/alarms/{OF_C}/history").json()["items"][-1]
-    assert (shelved["suppressed"], shelved["who"], shelved["why"]) == ("shelved", "ann", "known leak")
+    assert (shelved["suppressed"], shelved["author"], shelved["reason"]) == ("shelved", "ann", "known leak")
     ends = shelved["shelved_until_utc"]
     assert parse_utc(ends) - parse_utc(shelved["utc"]) == 8 * NS_PER_H
     expect(alarm).to_contain_text(f"shelved until {ends[:10]} {ends[11:16]} UTC by ann: known leak")
@@ -161,8 +167,8 @@ def is_who_held_it_yesterday(page, api, filled):
     (held,) = api(f"/audit?{urlencode({'what': 'pause', **day})}").json()["items"]
     rows = page.locator("#audit tbody tr")
     expect(rows).to_have_count(1)
-    expect(rows.locator("td").nth(1)).to_have_text(held["who"])
-    assert held["who"] == "cleo"
+    expect(rows.locator("td").nth(1)).to_have_text(held["author"])
+    assert held["author"] == "cleo"
 
 
 def check_link_shows_the_same_view(page, api, filled):

@@ -227,7 +227,7 @@ class JournalContract(ArchiveContract):
             SetKey(SET_INDEX),
             due_utc_ns=DUE_UTC_NS,
             started_utc_ns=whole.started_utc_ns,
-            retired={"D": "retired by ann"},
+            disabled={"D": "disabled by ann"},
         )
         for record in whole.records[:n_records]:
             archive.append(record, record.stamp.utc_ns)
@@ -241,7 +241,7 @@ class JournalContract(ArchiveContract):
         (opened,) = reopened().open_sets().values()
         whole = make_set()
         assert (opened.set_key, opened.due_utc_ns) == (SetKey(SET_INDEX), DUE_UTC_NS)
-        assert (opened.started_utc_ns, opened.retired) == (whole.started_utc_ns, {"D": "retired by ann"})
+        assert (opened.started_utc_ns, opened.disabled) == (whole.started_utc_ns, {"D": "disabled by ann"})
         assert bits(list(opened.records)) == bits(whole.records[:3])
         assert list(opened.missed) == list(whole.missed)
         assert opened.last_utc_ns >= max(record.stamp.utc_ns for record in opened.records)

@@ -50,7 +50,7 @@ def test_a_running_test_is_paused_resumed_and_a_transducer_disabled(tmp_path, ca
         until(lambda: states(folder)["missed"] >= 3, "three missed sets")
         # A person may open the door after the answer: at most the set being stored then came after it.
         assert len(sorted(set_files(folder))) <= len(stored) + 1
-        with pytest.raises(UsageError, match="already paused: held by ann: door open"):
+        with pytest.raises(UsageError, match="already paused by ann: door open"):
             order(folder, "pause", "again")
         assert order(folder, "disable", position="D") == 0
         assert order(folder, "resume") == 0

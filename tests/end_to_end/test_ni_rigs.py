@@ -191,7 +191,7 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function, t
     missed = [row for row in sets if row.state == "missed"]
     assert missed, "the sets of that time are gaps in the ledger"
     # Not all: on a busy machine sets may also fall due while the recorder opens the rig.
-    assert any("hung while taking set" in row.cause for row in missed)
+    assert any("hung while taking set" in row.reason for row in missed)
     # The counter ends each pulse: whatever hung, no level stayed high for longer than the pulse.
     for line in {event["line"] for event in driver_record["lines"]}:
         events = [event for event in driver_record["lines"] if event["line"] == line]

@@ -64,7 +64,7 @@ def test_an_archive_played_back_in_two_parts_is_the_same_test_to_the_last_bit(re
     # The recording has no unscheduled set: it is reported as missed, without other consequences.
     (unscheduled,) = [row for row in rows["sets"] if row.purpose == "confirmation"]
     assert (unscheduled.position, str(unscheduled.set_key), unscheduled.state) == ("B", f"{LAST}.1", "missed")
-    assert "the recording has no attempt 0 at shot 0" in unscheduled.cause
+    assert "the recording has no attempt 0 at shot 0" in unscheduled.reason
     assert rows | {"sets": [row for row in rows["sets"] if row is not unscheduled]} == recorded
     assert [row.outlier for row in recorded["assessments"] if row.set_index == LAST] == [True, False]
     assert recorded["alarms"] == []

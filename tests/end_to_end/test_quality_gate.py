@@ -223,4 +223,4 @@ def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(tmp_pat
     assert run(settings, tmp_path, rig=ordering_rig(tmp_path, orders, silent("B", from_set=1)))
     row = sets_of(tmp_path, "B")[1]
     assert (row.state, row.n_missed, row.n_restrikes) == ("missed", 1, 0)
-    assert row.cause == f"held by ann: door open; 1 missed: {NO_TRIGGER}"
+    assert row.reason == f"paused by ann: door open; 1 missed: {NO_TRIGGER}"

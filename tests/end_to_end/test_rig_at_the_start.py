@@ -114,7 +114,7 @@ def test_each_missed_set_has_the_cause_of_its_own_time(tmp_path):
     assert not record_on(tmp_path / "data", clock, instruments, [], stop)
     clock.sleep(began_s + 3.3 * INTERVAL_S - clock.s())
     assert record_on(tmp_path / "data", clock, instruments, [], again, lambda opener: partial(absent, opener))
-    causes = {row.set_index: row.cause for row in rows_of(tmp_path / "data")["sets"]}
+    causes = {row.set_index: row.reason for row in rows_of(tmp_path / "data")["sets"]}
     stopped, waited = "the recorder was stopped by its operator", f"the recorder waited for the rig: {GONE}"
     assert causes == {0: None, 1: None, 2: stopped, 3: waited, 4: None, 5: None}, "4 is struck late"
 

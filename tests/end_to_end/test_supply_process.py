@@ -53,7 +53,7 @@ pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "avai
 
 SECOND_H = 1.0 / 3600.0
 SETS = 4
-WATCHED_S, UNWATCHED_S = 600.0, 1.0
+WATCHED_S, WATCHDOG_S = 600.0, 1.0
 IDENTITY = "SOLIMON,DC SUPPLY DOUBLE"
 
 
@@ -61,7 +61,7 @@ def line_of(instruments, reply_timeout_s=5.0):
     return {"port": str(instruments.supply_link.path), "reply_timeout_s": reply_timeout_s}
 
 
-def settings_of(instruments, *, unwatched_s, off_at_end, sets, **supply):
+def settings_of(instruments, *, watchdog_timeout_s, off_at_end, sets, **supply):
     """Return settings of a set per second on the twin, with the supply."""
     return small_settings(
         clock={"kind": "wall"},
@@ -78,16 +78,16 @@ def settings_of(instruments, *, unwatched_s, off_at_end, sets, **supply):
                 "identity": IDENTITY,
                 "log_interval_s": 0.2,
                 "off_at_end": off_at_end,
-                "unwatched_s": unwatched_s,
+                "watchdog_timeout_s": watchdog_timeout_s,
                 **supply,
             }
         },
     )
 
 
-def mixed_settings_of(instruments, *, unwatched_s):
+def mixed_settings_of(instruments, *, watchdog_timeout_s):
     """Return instruments of another package at B, and a text supply of a mixed rig."""
-    plain = settings_of(instruments, unwatched_s=unwatched_s, off_at_end=True, sets=600)
+    plain = settings_of(instruments, watchdog_timeout_s=watchdog_timeout_s, off_at_end=True, sets=600)
     return with_defaults(
         Settings(
             positions={"B": {"method": "solitary_wave"}},
@@ -102,7 +102,11 @@ def mixed_settings_of(instruments, *, unwatched_s):
                     "psu": {"kind": "text-supply", "line": line_of(instruments), "identity": IDENTITY},
                 },
                 "positions": {"B": {"digitizer": "scope", "striker": "hammer"}},
-                "drive": {"instrument": "psu", "log_interval_s": 0.2, "unwatched_s": unwatched_s},
+                "drive": {
+                    "instrument": "psu",
+                    "log_interval_s": 0.2,
+                    "watchdog_timeout_s": watchdog_timeout_s,
+                },
             },
         )
     )
@@ -126,9 +130,13 @@ class Test:
     instruments: SerialInstruments
     orders: list[int] = field(default_factory=list)
 
-    def settings(self, *, unwatched_s=WATCHED_S, off_at_end=True, sets=SETS, **supply):
+    def settings(self, *, watchdog_timeout_s=WATCHED_S, off_at_end=True, sets=SETS, **supply):
         return settings_of(
-            self.instruments, unwatched_s=unwatched_s, off_at_end=off_at_end, sets=sets, **supply
+            self.instruments,
+            watchdog_timeout_s=watchdog_timeout_s,
+            off_at_end=off_at_end,
+            sets=sets,
+            **supply,
         )
 
     def order(self, kind, **arguments):
@@ -239,7 +247,7 @@ def test(tmp_path):
 
 
 def test_the_end_switches_off_and_the_process_leaves_also_without_the_supply(test):
-    test.run_switched_on(test.settings(unwatched_s=3.0))
+    test.run_switched_on(test.settings(watchdog_timeout_s=3.0))
     assert test.switchings() == [True, False], "off when the recorder ends"
     test.instruments.supply_link.unplug()
     until(test.drive_has_left, "the process of the drive has left")
@@ -251,7 +259,7 @@ def test_the_end_switches_off_and_the_process_leaves_also_without_the_supply(tes
 
 
 def test_a_supply_left_on_at_the_end_is_switched_off_when_no_recorder_returns(test):
-    settings = test.settings(unwatched_s=UNWATCHED_S, off_at_end=False)
+    settings = test.settings(watchdog_timeout_s=WATCHDOG_S, off_at_end=False)
     test.run_switched_on(settings)
     test.is_switched_off_unwatched()
     # The next recorder reports it, and energizes nothing.
@@ -282,7 +290,7 @@ def test_the_output_is_switched_off_after_the_final_end_of_a_recorder(test, erro
 
     with pytest.raises(error):
         test.run(
-            test.settings(unwatched_s=UNWATCHED_S, sets=600),
+            test.settings(watchdog_timeout_s=WATCHDOG_S, sets=600),
             after={1: lambda: test.order("supply_on")},
             rig=rig,
             wall_clock=WallClock,
@@ -320,7 +328,7 @@ def test_a_supply_process_killed_after_the_recorder_is_restarted_and_switches_of
     started: list[subprocess.Popen[bytes]] = []
     if state == "unreadable":
         (test.folder / DRIVE_FILE).write_bytes(b"{torn")
-    sooner = test.settings(off_at_end=False, unwatched_s=UNWATCHED_S)
+    sooner = test.settings(off_at_end=False, watchdog_timeout_s=WATCHDOG_S)
     assert sooner.rig.supply is not None
 
     def start():
@@ -379,7 +387,7 @@ def recorder_of(test):
     ids=["recorder alone", "supervisor", "supervisor and recorder"],
 )
 def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(test, word, killed):
-    settings = test.settings(unwatched_s=UNWATCHED_S, sets=600)
+    settings = test.settings(watchdog_timeout_s=WATCHDOG_S, sets=600)
     with started(test, word, settings) as process:
         recorder = recorder_of(test)
         for name in killed:
@@ -400,7 +408,7 @@ def offered(tmp_path, monkeypatch):
 @pytest.mark.slow
 @pytest.mark.usefixtures("offered")
 def test_the_supply_of_a_mixed_rig_is_switched_off_after_a_kill(test):
-    settings = mixed_settings_of(test.instruments, unwatched_s=UNWATCHED_S)
+    settings = mixed_settings_of(test.instruments, watchdog_timeout_s=WATCHDOG_S)
     with started(test, "record", settings) as process:
         until(test.has_charge, "a set with its charge")
         assert test.switchings() == [True]
@@ -508,7 +516,7 @@ def test_before_a_successor_with_another_port_it_switches_off(test):
     test.run_switched_on(test.settings(off_at_end=False))
     assert test.instruments.supply.on
     line = {"port": "/dev/solimon-absent"}
-    with test.recording(test.settings(off_at_end=False, unwatched_s=3.0, line=line)):
+    with test.recording(test.settings(off_at_end=False, watchdog_timeout_s=3.0, line=line)):
         until(lambda: not test.instruments.supply.on, "the old process switches off")
     until(test.drive_has_left, "nothing is left to supervise")
     assert test.switchings() == [True, False]
@@ -517,7 +525,7 @@ def test_before_a_successor_with_another_port_it_switches_off(test):
 @pytest.mark.slow
 def test_without_a_successor_that_reads_the_supply_it_switches_off(test):
     """A successor without rights, or one that crashes before its first reading."""
-    test.run_switched_on(test.settings(off_at_end=False, unwatched_s=600.0))
+    test.run_switched_on(test.settings(off_at_end=False, watchdog_timeout_s=600.0))
     address = address_of(test.folder)
     connection = connect(address.port, bytes.fromhex(address.key))
     port = test.settings().rig.supply.line.port

@@ -16,7 +16,7 @@ from support.stored_files import read_set, set_files
 
 from daq_service import shared_file
 from daq_service.archive import ArchiveWriteError, FolderArchive
-from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.finalize_set import finalize_set
 from hardware_drivers.measurement import SetKey
 
 CALLS_OF_A_SET = ["open", "write", "fsync", "close", "replace", "open", "fsync", "close"]
@@ -87,7 +87,7 @@ def journaled(folder):
     """Store a set; return a function that writes its file, as the worker of the recorder does."""
     with closing(FolderArchive(folder)) as archive:
         archive.store_set(make_set())
-    return lambda: compact_set(folder, SetKey(SET_INDEX))[0]
+    return lambda: finalize_set(folder, SetKey(SET_INDEX))[0]
 
 
 @pytest.fixture

@@ -158,7 +158,7 @@ def test_an_expired_set_names_the_corruption_as_its_cause(tmp_path, monkeypatch)
     assert {row.position: (row.state, row.n_taken) for row in rows} == {
         "A": ("done", 1), "B": ("done", 3), "C": ("partial", 1), "D": ("missed", 0)
     }  # fmt: skip
-    (cause,) = {row.cause for row in rows if row.cause}
+    (cause,) = {row.reason for row in rows if row.reason}
     assert "journal was damaged" in cause
 
 

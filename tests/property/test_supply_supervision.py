@@ -41,7 +41,7 @@ PLAIN = SupplyParameters(
     line=SerialLineParameters(port="COM4", reply_timeout_s=0.1),
     identity="ANY",
     log_interval_s=POLL_S,
-    unwatched_s=60.0,
+    watchdog_timeout_s=60.0,
 )
 CONFIGURATIONS = {
     "same": PLAIN,
@@ -51,7 +51,7 @@ CONFIGURATIONS = {
 ROUNDS_S = 3 * STEP_S
 """A message is taken up at the next step, and answered at the one after it."""
 REPLACED_WITHIN_S = answered_within_s(PLAIN) + SUCCEEDED_WITHIN_S + POLL_S
-LONGEST_S = PLAIN.unwatched_s + POLL_S + REPLACED_WITHIN_S + ROUNDS_S
+LONGEST_S = PLAIN.watchdog_timeout_s + POLL_S + REPLACED_WITHIN_S + ROUNDS_S
 """The unwatched limit and one poll; a process that hangs before it is found and replaced first."""
 
 
@@ -156,7 +156,7 @@ class World:
                     self.processes.append(started.process)
                     absent_s = (self.clock.now_ns - self.ran_ns) / 1e9
                     # The state was written a while before the last process was gone.
-                    outlived = started.process.commanded and absent_s > PLAIN.unwatched_s
+                    outlived = started.process.commanded and absent_s > PLAIN.watchdog_timeout_s
                     assert not outlived, f"a command outlives {absent_s:g} s without a process"
         self.ran_ns = self.clock.now_ns if self.processes else self.ran_ns
         for process in self.processes[:]:
@@ -238,7 +238,7 @@ class Supervision(RuleBasedStateMachine):
         )
         for process in drivers:
             silent_s = (world.clock.now_ns - process.drive._heard_ns) / 1e9
-            limit_s = PLAIN.unwatched_s + POLL_S + ROUNDS_S
+            limit_s = PLAIN.watchdog_timeout_s + POLL_S + ROUNDS_S
             assert not (process.commanded and silent_s > limit_s), f"unwatched for {silent_s:g} s"
 
     def _can_reach(self):
@@ -366,7 +366,7 @@ class Supervision(RuleBasedStateMachine):
         self.supervisor = DriveGuard(
             self.folder,
             self.guarding,
-            check_every_s=PLAIN.unwatched_s,
+            check_every_s=PLAIN.watchdog_timeout_s,
             machine=world.machine(),
         )
 

@@ -4,7 +4,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 from daq_service.archive import FolderArchive, SetNotFoundError, SetRecord, StoredSet
-from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.finalize_set import finalize_set
 
 
 class FiledArchive(FolderArchive):
@@ -13,7 +13,7 @@ class FiledArchive(FolderArchive):
     def store_set(self, record: SetRecord) -> StoredSet:
         stored = super().store_set(record)
         with suppress(SetNotFoundError):  # it has its file already
-            compact_set(self.folder, record.set_key, results=record.results)
+            finalize_set(self.folder, record.set_key, results=record.results)
         self.settle(record.set_key)
         self.close()
         return replace(stored, n_bytes=(self.folder / stored.file).stat().st_size)

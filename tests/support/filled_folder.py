@@ -77,7 +77,7 @@ def frozen_baseline(position: str, **columns: object) -> BaselineRow:
         limit_mean_3sd=LIMIT_PAPER,
         approval="automatic",
         provenance={"set_indices": list(range(N_BASELINE)), "suspects": [], "warnings": []},
-        limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
+        limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "mewma": LIMIT_CHART},
     )
     return replace(row, **columns)
 
@@ -256,7 +256,7 @@ class FilledFolder:
             contributions={"tof_pp_s": distance},
             mewma_statistic=None if in_baseline else 0.6 * distance,
             mewma_alarm=None if in_baseline else 0.6 * distance > LIMIT_CHART,
-            limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "chart": LIMIT_CHART},
+            limits={"f_predictive": LIMIT_F, "paper_mean_3sd": LIMIT_PAPER, "mewma": LIMIT_CHART},
         )
 
     def add_confirmation(
@@ -408,7 +408,7 @@ class FilledFolder:
             due_utc_ns=due.due_utc_ns,
             due_h=due.due_h,
             state="disabled",
-            cause="hole",
+            reason="hole",
             n_planned=0,
         )
         event = EventRow(

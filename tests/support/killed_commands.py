@@ -189,7 +189,7 @@ def wrong_with(folder: Path, answered: Collection[int]) -> list[str]:
     wrong = [f"order {number} is lost" for number in set(answered) - {row.id for row in orders}]
     for row in orders:
         name = f"order {row.id} ({row.kind}), {row.state}: {row.result}"
-        if row.state not in ("done", "expired", "refused") or not row.result:
+        if row.state not in ("done", "expired", "rejected") or not row.result:
             wrong.append(f"{name}: neither done nor refused")
         times = sum(row.author in payload for payload in payloads.get(EVENT_OF[row.kind], ()))
         if times != (row.state == "done"):

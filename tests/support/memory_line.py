@@ -214,7 +214,7 @@ class Line:
         acknowledged: Callable[[int], None] = lambda shot_id: None,
         idle_check: IdleVerification | None = None,
         disk: DiskWatch | None = None,
-        compaction: SetFinalizer | None = None,
+        finalizer: SetFinalizer | None = None,
         machine: ComputerLoadWatch | None = None,
         web: WebWatch | None = None,
         notify: Callable[..., None] = lambda event, **values: None,
@@ -259,7 +259,7 @@ class Line:
                     unsupervised=left_alone or threading.Event(), acknowledged=acknowledged
                 ),
                 host=Host(mono_s=mono_s, listen_every_s=self.listen_every_s, look_every_s=self.look_every_s),
-                finalizer=compaction,
+                finalizer=finalizer,
                 verification=idle_check,
                 disk=disk,
                 computer_load=machine,

@@ -2,7 +2,7 @@
 
 Run as a program under `refusing_files`: ``FOLDER`` holds a started test; cases come as JSON lines on
 standard input, and what became of each goes to standard output. The real line runs, with catalogue, journal,
-compaction and log; rig and features are in memory, and a sleep of anybody's only moves the clock on.
+finalizing of files and log; rig and features are in memory, and a sleep of anybody's only moves the clock on.
 """
 
 from __future__ import annotations
@@ -225,7 +225,7 @@ def follow(case: dict[str, Any], folder: Path) -> dict[str, Any]:
         "said": reports.messages,
         "alarms": alarms,
         "lost": sorted(set(acknowledged_ids) - found.counts.keys()),
-        "sets": sorted({(row.set_index, row.state, row.cause) for row in found.rows["sets"]}),
+        "sets": sorted({(row.set_index, row.state, row.reason) for row in found.rows["sets"]}),
         "shots": len(found.counts),
         "keys": len(set(found.keys.values())),
         "acknowledged": len(set(acknowledged_ids)),

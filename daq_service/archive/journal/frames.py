@@ -75,10 +75,10 @@ class Frame:
 
 
 def begin_frame(
-    set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+    set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
 ) -> Buffers:
     """Return the frame for the start of a set."""
-    facts = {"due_utc_ns": due_utc_ns, "retired": dict(retired)}
+    facts = {"due_utc_ns": due_utc_ns, "disabled": dict(disabled)}
     return _frame(Kind.BEGIN, set_key, facts, utc_ns=started_utc_ns)
 
 

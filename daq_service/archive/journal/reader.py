@@ -133,14 +133,14 @@ class JournaledSet:
 
     def opened(self) -> OpenSet | None:
         """Return the durable part of an incomplete set; None if nothing is left."""
-        facts: dict[str, Any]
+        facts: Mapping[str, Any]
         if self.begin is not None:
             facts = {**self.begin.read_facts(), "started_utc_ns": self.begin.utc_ns}
         elif self.end is not None:
-            facts = {**self.end, "retired": {}}
+            facts = self.end
         elif self.shots or self.missed:
             first_ns = min((frame.utc_ns for frame in self.shots.values()), default=self.last_utc_ns)
-            facts = {"due_utc_ns": first_ns, "started_utc_ns": first_ns, "retired": {}}
+            facts = {"due_utc_ns": first_ns, "started_utc_ns": first_ns}
         else:
             return None
         return OpenSet(
@@ -148,7 +148,7 @@ class JournaledSet:
             due_utc_ns=facts["due_utc_ns"],
             started_utc_ns=facts["started_utc_ns"],
             last_utc_ns=self.last_utc_ns,
-            retired=facts["retired"],
+            disabled=facts.get("disabled", facts.get("retired", {})),  # the latter by earlier versions
             is_dated=self.begin is not None or self.end is not None,
             records=[record_of(frame) for _, frame in sorted(self.shots.items())],
             missed=list(self.missed.values()),

@@ -116,10 +116,10 @@ class Journal:
         return f"{QUARANTINE_FOLDER}/{copy.name}"
 
     def begin(
-        self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, retired: Mapping[str, str]
+        self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
     ) -> None:
         """Add the start of a set; durable with the next sync."""
-        frame = begin_frame(set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, retired=retired)
+        frame = begin_frame(set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled)
         self._add(set_key, frame)
 
     def append(self, record: Shot | PulseEchoRecord) -> None:

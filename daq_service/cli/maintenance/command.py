@@ -66,7 +66,7 @@ def run_repair(*, data_dir: Path, apply: bool, backup: Path | None, as_json: boo
                     raise StorageError(f"{step.file}: {error}; mend the disk and start again") from error
             report = verify_folder(data_dir, _progress("files"))
     damage = [asdict(item) for item in report.damage]
-    lines = [f"{step.does:<13} {step.file}: {step.why}" for step in steps]
+    lines = [f"{step.does:<13} {step.file}: {step.reason}" for step in steps]
     if any(step.does != "nothing" for step in steps) and not apply:
         lines.append("nothing is done yet: --apply does it")
     result = {"ok": not damage, "applied": apply, "steps": list(map(asdict, steps)), "damage": damage}

@@ -46,7 +46,7 @@ _SETS_AT_ONCE = 500
 """Rows of so many sets are held as objects."""
 _OF_A_SHOT = ("set_index", "shot_index", "attempt", "utc_ns", "valid", "flags", "outcome")
 _OF_A_SET = (
-    *("due_h", "due_utc_ns", "state", "cause"),
+    *("due_h", "due_utc_ns", "state", "reason"),
     *("n_planned", "n_taken", "n_valid", "n_missed", "n_restrikes"),
 )
 _NO_RESULT = (

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daq_service.archive import Results, SetReference
-from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import JournaledSet
 from daq_service.archive.records import SETS_FOLDER, TEMPORARY_SUFFIX, referenced_sets
@@ -37,13 +37,13 @@ class Step:
     ----------
     does
         ``remove``, ``from_journal``, ``from_backup``, ``set_aside``; ``nothing``: a person has to decide.
-    why
+    reason
         The reason, or what a person can do.
     """
 
     does: str
     file: str
-    why: str
+    reason: str
 
 
 def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
@@ -61,7 +61,7 @@ def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
     steps = [
         _of_file(folder, SetReference(file), journal, backup)
         if finding.kind in OF_A_FILE
-        else Step(does="nothing", file=file, why=finding.description)
+        else Step(does="nothing", file=file, reason=finding.description)
         for file, finding in damaged.items()
     ]
     return [*_left_over(folder), *sorted(steps, key=lambda step: step.file)]
@@ -70,7 +70,7 @@ def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
 def _left_over(folder: Path) -> Iterator[Step]:
     """Yield the steps for unfinished files."""
     for path in sorted((folder / SETS_FOLDER).glob(f"*{TEMPORARY_SUFFIX}")):
-        yield Step(does="remove", file=f"{SETS_FOLDER}/{path.name}", why="it was never finished")
+        yield Step(does="remove", file=f"{SETS_FOLDER}/{path.name}", reason="it was never finished")
 
 
 def _of_file(
@@ -80,21 +80,21 @@ def _of_file(
     ((set_key, _),) = referenced_sets([Path(file).name]).items()
     journaled = journal.get(set_key)
     if journaled is not None and journaled.is_whole and journaled.reference == file:
-        return Step(does="from_journal", file=file, why="the journal still has every record of the set")
+        return Step(does="from_journal", file=file, reason="the journal still has every record of the set")
     rows = _rows(folder, set_key)
     if backup is not None:
         objection = _objection(backup, file, rows)
         if not objection:
             return Step(
-                does="from_backup", file=file, why=f"{backup / file} is whole and agrees with the rows"
+                does="from_backup", file=file, reason=f"{backup / file} is whole and agrees with the rows"
             )
-        return Step(does="nothing", file=file, why=f"the backup does not help: {objection}")
+        return Step(does="nothing", file=file, reason=f"the backup does not help: {objection}")
     if rows is not None and not rows.sets:
-        return Step(does="set_aside", file=file, why="it has no rows: its set is taken again, or missed")
+        return Step(does="set_aside", file=file, reason="it has no rows: its set is taken again, or missed")
     return Step(
         does="nothing",
         file=file,
-        why="what of it can be read stays readable; only a backup has the rest: --from BACKUP",
+        reason="what of it can be read stays readable; only a backup has the rest: --from BACKUP",
     )
 
 
@@ -145,7 +145,7 @@ def carry_out(folder: Path, step: Step, backup: Path | None) -> None:
         move_aside(folder, file)
     if step.does == "from_journal":
         ((set_key, _),) = referenced_sets([path.name]).items()
-        compact_set(folder, set_key, results=_results(folder, set_key))
+        finalize_set(folder, set_key, results=_results(folder, set_key))
     elif step.does == "from_backup":
         assert backup is not None, "a plan with a backup's file has a backup"
         path.parent.mkdir(exist_ok=True)

@@ -61,7 +61,7 @@ def differing(
                 "started_utc_ns": record.started_utc_ns,
                 "ended_utc_ns": record.ended_utc_ns,
                 "state": state if position.cause else "done",
-                "cause": position.cause or None,
+                "reason": position.cause or None,
                 "n_planned": position.n_planned,
                 "n_taken": len(taken),
                 "n_missed": n_missed(record, position.position),

@@ -60,7 +60,9 @@ def _places(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
 
 def _audit(audit: Audit, action: str, **arguments: object) -> None:
     """Add the command to the audit log."""
-    audit.add(who=user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done")
+    audit.add(
+        author=user_name(), role=CLAIMED, source=TERMINAL, what=action, arguments=arguments, result="done"
+    )
 
 
 def _shown(token: Token) -> dict[str, object]:

@@ -73,7 +73,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 "system_ahead_s": fresh.system_ahead_s,
                 "supply": supply,
                 "climate": _climate(catalogue.last_environment()),
-                "held": catalogue.held(),
+                "paused": catalogue.paused(),
                 "orders": _open_orders(catalogue),
                 "counts": counts,
                 "next_due_h": _next_due_h(settings.schedule, counts["sets"] + counts["missed_sets"]),
@@ -103,7 +103,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
         recorder = read_recorder_state(folder, [])
         recorder_ns = time_now_ns(recorder.beat)
         nothing = dict.fromkeys(
-            ("now_h", "wall_age_s", "climate", "held", "counts", "next_due_h", "disk", "confirmations")
+            ("now_h", "wall_age_s", "climate", "paused", "counts", "next_due_h", "disk", "confirmations")
         )
         return {
             "recorder": recorder.description,
@@ -219,10 +219,10 @@ def _open_orders(catalogue: Catalogue) -> list[dict[str, object]]:
 
 
 def _gaps(catalogue: Catalogue) -> list[dict[str, object]]:
-    """Return the newest incomplete sets with positions and causes."""
+    """Return the newest incomplete sets with positions and reasons."""
     found: dict[tuple[int, str, str | None, float], list[str]] = {}
     for row in catalogue.newest_gaps(GAPS_A_POSITION):
-        found.setdefault((row.set_index, row.state, row.cause, row.due_h), []).append(row.position)
-    names = ("set_index", "state", "cause", "due_h", "positions")
+        found.setdefault((row.set_index, row.state, row.reason, row.due_h), []).append(row.position)
+    names = ("set_index", "state", "reason", "due_h", "positions")
     newest = sorted(found.items(), key=lambda item: item[0][0])[-GAPS_A_POSITION:]
     return [dict(zip(names, (*gap, positions), strict=True)) for gap, positions in newest]

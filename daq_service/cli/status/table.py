@@ -84,8 +84,9 @@ def _head(facts: Facts, folder: str) -> Iterator[tuple[str, str, str]]:
         if air["temperature_c"] is not None:
             read = f"{air['temperature_c']:.1f} °C, {100.0 * air['relative_humidity']:.0f} %"
         yield "climate", f"{read} ({quality})", "" if quality == "good" else "yellow"
-    if facts["held"]:
-        yield "paused", f"{facts['held']}; nothing strikes until it is resumed", "yellow"
+    if facts["paused"]:
+        reason = facts["paused"].removeprefix("paused ")
+        yield "paused", f"{reason}; nothing strikes until it is resumed", "yellow"
     for order in facts["orders"]:
         wanted = f"{order['kind']} by {order['author']}"
         remaining = f", expires in {duration(order['expires_in_s'])}" if order["state"] == "pending" else ""
@@ -158,9 +159,9 @@ def _confirmations(facts: Facts) -> str:
 
 
 def _gaps(gaps: Sequence[Facts]) -> Iterator[str]:
-    """Yield adjacent gaps of one cause in one line."""
-    for (state, cause, where), group in groupby(
-        gaps, key=lambda gap: (gap["state"], gap["cause"], ", ".join(gap["positions"]))
+    """Yield adjacent gaps of one reason in one line."""
+    for (state, reason, where), group in groupby(
+        gaps, key=lambda gap: (gap["state"], gap["reason"], ", ".join(gap["positions"]))
     ):
         alike = list(group)
         first, last = alike[0], alike[-1]
@@ -169,7 +170,7 @@ def _gaps(gaps: Sequence[Facts]) -> Iterator[str]:
             if first is last
             else f"{len(alike)} sets, {first['set_index']} to {last['set_index']},"
         )
-        yield f"{names} {state} at {where}, hour {last['due_h']:g}: {cause}"
+        yield f"{names} {state} at {where}, hour {last['due_h']:g}: {reason}"
 
 
 def disk_text(disk: Facts) -> str:

@@ -129,7 +129,7 @@ class Notifications:
                 continue
             text = f"process {os.getpid()}"
             try:
-                with hold_lock(self._folder, LOCK_FILE, text, who="process", patience_s=0.0) as lock:
+                with hold_lock(self._folder, LOCK_FILE, text, holder="process", patience_s=0.0) as lock:
                     self._send_until_released(lock)
             except BusyError:
                 self._report_problem("another process of this test sends")

@@ -12,7 +12,7 @@ from typing import Any
 
 import orjson
 
-from analysis.statistics.named_limits import AVERAGE, CHART
+from analysis.statistics.named_limits import AVERAGE, MEWMA
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import (
     AssessmentRow,
@@ -199,7 +199,7 @@ def comparable(columns: Mapping[str, Any]) -> dict[str, Any]:
     averages = columns.get("averages")
     if averages is None:
         return dict(columns)
-    charts = {name: average for name, average in averages.items() if name in (AVERAGE, CHART)}
+    charts = {name: average for name, average in averages.items() if name in (AVERAGE, MEWMA)}
     return {**columns, "averages": charts or None}
 
 

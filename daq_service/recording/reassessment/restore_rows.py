@@ -210,7 +210,7 @@ class _Restoration:
         transaction = _with_stored_rows(transaction, events, all_rows=True)
         # The events of a set with all its records are complete: a position without one was left out.
         left_out = dict.fromkeys(self._settings.positions, "disabled") if transaction.shots else {}
-        transaction.sets = self._completed_sets(transaction.sets, left_out | self._set_assessor.retired())
+        transaction.sets = self._completed_sets(transaction.sets, left_out | self._set_assessor.disabled())
         places = list(self._settings.positions)  # as a recorder orders them
         transaction.features.sort(key=lambda row: (places.index(row.position), row.shot_index is None))
         if any(row.n_taken for row in transaction.sets) and not transaction.shots:
@@ -246,11 +246,11 @@ class _Restoration:
         """Complete the stored rows: a position that a set leaves out, for a reason, has no event."""
         rows = {row.position: row for row in stored}
         of_the_plan = stored and stored[0].purpose is None
-        for position, cause in left_out.items() if of_the_plan else ():
+        for position, reason in left_out.items() if of_the_plan else ():
             first = stored[0]
             due = DueSet(set_index=first.set_index, due_h=first.due_h, due_utc_ns=first.due_utc_ns)
-            retired = self._set_assessor.without_records(due, position, retired=True, cause=cause)
-            rows.setdefault(position, retired)
+            disabled = self._set_assessor.without_records(due, position, disabled=True, reason=reason)
+            rows.setdefault(position, disabled)
         digests = self._history.digests
         rows = {name: replace(row, file_sha256=digests.get(row.file or "")) for name, row in rows.items()}
         return [rows[position] for position in self._settings.positions if position in rows]

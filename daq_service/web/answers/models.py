@@ -268,8 +268,8 @@ class AlarmTransition(Answer):
     state: rows.AlarmState
     priority: Priority
     suppressed: rows.Suppression | None
-    who: str | None
-    why: str | None
+    author: str | None
+    reason: str | None
     shelved_until_utc: str | None
 
 
@@ -465,7 +465,7 @@ class SupplyInfo(Answer):
     current_cap_a: float
     interlock_current_a: float
     off_at_end: bool
-    unwatched_s: float
+    watchdog_timeout_s: float
 
 
 class Info(Dated):
@@ -486,7 +486,7 @@ class Info(Dated):
     initial_thickness_m: float
     supply: SupplyInfo | None
     positions: list[PositionInfo]
-    held: str | None
+    paused: str | None
     asked: AskedInfo | None
     dry_run: bool | None
     last_event_id: int

@@ -107,17 +107,17 @@ class AccessPolicy:
         return self.tokens.still_opens(person.name, person.role)
 
     async def audit_rejection(self, scope: Scope, reason: str, *, what: str = "enter") -> None:
-        """Audit a refusal with its reason and request id; the request itself may contain a token."""
+        """Audit a rejection with its reason and request id; the request itself may contain a token."""
         person: Person | None = scope.get("state", {}).get("person")
         await asyncio.to_thread(
             self.audit.add,
-            who=person.name if person else "",
+            author=person.name if person else "",
             role=person.role if person else "",
             source=address_of(scope),
             what=what,
             arguments={"request_id": request_id(scope)},
-            result="refused",
-            why=reason[:LONGEST_REASON],
+            result="rejected",
+            reason=reason[:LONGEST_REASON],
         )
 
     def _token_text(self, scope: Scope, headers: Headers) -> str | None:
@@ -163,8 +163,8 @@ class AuthenticationMiddleware:
         person, problem = None, None
         try:
             person = self._policy.person_of(scope)
-        except Problem as refused:
-            problem = refused
+        except Problem as rejection:
+            problem = rejection
         path = OF_TEST.sub("", scope["path"], count=1) if self._has_tests else scope["path"]
         if path in PUBLIC_PATHS or path.startswith(PAGE_FILES):
             # Page, health checks and login are public, but not without encryption.

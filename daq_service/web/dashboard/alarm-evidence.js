@@ -176,7 +176,7 @@ export class AlarmEvidence {
   /** Read the sets around the alarm and draw them. */
   async read() {
     const { alarm, host } = this;
-    const kind = alarm.evidence.limit_name === "chart" ? BY_CHART : KINDS[alarm.kind];
+    const kind = alarm.evidence.limit_name === "mewma" ? BY_CHART : KINDS[alarm.kind];
     const fullTrend = alarm.position === null ? null : host.trend(alarm.position);
     if (!kind || !fullTrend?.columns.due_h.length) return;
     // The interval of the schedule there, from the hours that the page knows.

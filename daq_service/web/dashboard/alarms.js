@@ -189,7 +189,8 @@ export class SolimonAlarms extends HTMLElement {
       "data-focus": `hour-${alarm.id}`,
       "aria-label": `Show ${at} of ${alarm.position ?? "the test"} on the charts and the waterfall`,
     });
-    const who = alarm.acknowledged_by ? ` by ${alarm.acknowledged_by}${alarm.note ? `: ${alarm.note}` : ""}` : "";
+    const note = alarm.note ? `: ${alarm.note}` : "";
+    const acknowledger = alarm.acknowledged_by ? ` by ${alarm.acknowledged_by}${note}` : "";
     const item = el(
       "li",
       { class: "alarm" },
@@ -203,7 +204,7 @@ export class SolimonAlarms extends HTMLElement {
       el("p", { class: "alarm-message", text: alarm.message }),
       el("p", {
         class: "quiet small",
-        text: `${alarm.alarm_class} alarm, ${STATE_LABELS[alarm.state] ?? alarm.state}${who}`,
+        text: `${alarm.alarm_class} alarm, ${STATE_LABELS[alarm.state] ?? alarm.state}${acknowledger}`,
       }),
       ...(alarm.suppressed
         ? [
@@ -285,8 +286,8 @@ export class SolimonAlarms extends HTMLElement {
               text: [
                 utc(one.utc),
                 one.kind.replace("alarm_", "").replaceAll("_", " "),
-                one.who ? `by ${one.who}` : "",
-                one.why,
+                one.author ? `by ${one.author}` : "",
+                one.reason,
               ]
                 .filter(Boolean)
                 .join(" · "),

@@ -351,7 +351,7 @@ function showClock(asOf) {
     : 0;
   Object.assign(state, { recorder: asOf.recorder, now_h: asOf.now_h, clockReadAt: performance.now() });
   if (state.recorder !== "running") byId("finish").hidden = true;
-  pauseControl.update(data.info?.held ?? null, state.recorder);
+  pauseControl.update(data.info?.paused ?? null, state.recorder);
   showConnection();
 }
 

@@ -63,7 +63,7 @@ function card(item) {
           `${standing.highest_priority}`,
       }),
     );
-  if (standing.held) head.append(chip({ label: "Paused", icon: "pause", tone: "warn" }));
+  if (standing.paused) head.append(chip({ label: "Paused", icon: "pause", tone: "warn" }));
   const positions = standing.positions.map((/** @type {any} */ positionInfo) =>
     el("li", {}, el("span", { class: "quiet", text: positionInfo.position }), " ", chip(STATES[positionInfo.state])),
   );

@@ -188,11 +188,11 @@ export class Tiles {
       gauge(ratio),
       list([
         ...(assessment?.diagnosis ? [/** @type {[string, string]} */ (["Cause", diagnosisText(assessment)])] : []),
-        ...(typeof assessment?.mewma_statistic === "number" && assessment.limits?.chart
+        ...(typeof assessment?.mewma_statistic === "number" && assessment.limits?.mewma
           ? [
               /** @type {[string, string]} */ ([
                 "Chart",
-                `${significant(assessment.mewma_statistic)}, limit ${significant(assessment.limits.chart)}`,
+                `${significant(assessment.mewma_statistic)}, limit ${significant(assessment.limits.mewma)}`,
               ]),
             ]
           : []),

@@ -22,7 +22,7 @@ class Standing(Answer):
     end_h: float
     recorder: RecorderStatus
     wall_age_s: float | None
-    held: str | None
+    paused: str | None
     state: PositionStatus
     stale: bool
     active_alarms: int

@@ -138,7 +138,7 @@ def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> St
         end_h=hours[-1] if hours else 0.0,
         recorder=fresh.recorder.status,
         wall_age_s=fresh.wall_age_s,
-        held=catalogue.held(),
+        paused=catalogue.paused(),
         state=max((place.state for place in positions), key=get_args(PositionStatus).index),
         stale=any(place.stale for place in positions),
         active_alarms=len(active),

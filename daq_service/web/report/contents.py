@@ -60,11 +60,11 @@ Columns = Mapping[str, list[Any]]
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Gap:
-    """Consecutive planned sets that were missed or are incomplete, with one cause."""
+    """Consecutive planned sets that were missed or are incomplete, with one reason."""
 
     position: str
     state: str
-    cause: str
+    reason: str
     from_h: float
     to_h: float
     n_sets: int
@@ -122,7 +122,7 @@ class Contents:
     wall_utc_ns: int
     wall_age_s: float | None
     recorder: str
-    held: str | None
+    paused: str | None
     rig_identity: Mapping[str, Any]
     n_files: int
     files_sha256: str
@@ -197,7 +197,7 @@ def read_contents(
             wall_utc_ns=time.time_ns(),
             wall_age_s=fresh.wall_age_s,
             recorder=fresh.recorder.description,
-            held=catalogue.held(),
+            paused=catalogue.paused(),
             rig_identity={} if started is None else started.payload.get("rig_identity", {}),
             n_files=len(files),
             files_sha256=hashlib.sha256(file_list.encode()).hexdigest(),
@@ -265,13 +265,13 @@ def _position_report(
 
 
 def _gaps(sets: Sequence[SetRow]) -> list[Gap]:
-    """Return the sets that are not done, consecutive ones with the same cause as one gap."""
+    """Return the sets that are not done, consecutive ones with the same reason as one gap."""
     incomplete = [row for row in sets if row.state != "done"]
     runs: list[list[SetRow]] = []
     for before, row in pairwise([None, *incomplete]):
         assert row is not None, "only the predecessor of the first is None"
-        continues = before is not None and (row.set_index, row.state, row.cause) == (
-            *(before.set_index + 1, before.state, before.cause),
+        continues = before is not None and (row.set_index, row.state, row.reason) == (
+            *(before.set_index + 1, before.state, before.reason),
         )
         if continues:
             runs[-1].append(row)
@@ -281,7 +281,7 @@ def _gaps(sets: Sequence[SetRow]) -> list[Gap]:
         Gap(
             position=run[0].position,
             state=run[0].state,
-            cause=run[0].cause or "",
+            reason=run[0].reason or "",
             from_h=run[0].due_h,
             to_h=run[-1].due_h,
             n_sets=len(run),

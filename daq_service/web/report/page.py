@@ -49,8 +49,8 @@ def history_cells(event: EventRow) -> Row:
     change = transition(event)
     states = ", ".join(filter(None, (change["state"], change["suppressed"])))
     # Without a person the reason is the message of the alarm, which the page has anyway.
-    why = change["why"] or "" if change["who"] else ""
-    return (event.kind.replace("_", " "), states.replace("_", " "), change["who"] or "", why)
+    reason = change["reason"] or "" if change["author"] else ""
+    return (event.kind.replace("_", " "), states.replace("_", " "), change["author"] or "", reason)
 
 
 def _alarm_rule_rows(settings: Settings) -> list[tuple[str, str]]:

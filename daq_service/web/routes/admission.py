@@ -42,7 +42,7 @@ async def admit(connection: HTTPConnection) -> None:
         if not person.may(needed):
             problem = role_too_low(person, operation, needed)
             await asyncio.to_thread(
-                write_audit_entry, connection, person, operation, "refused", problem.detail
+                write_audit_entry, connection, person, operation, "rejected", problem.detail
             )
             raise problem
 
@@ -57,7 +57,7 @@ def write_audit_entry(
     person: Person,
     operation: str,
     result: Result,
-    why: str = "",
+    reason: str = "",
     *,
     arguments: Mapping[str, object] | None = None,
     claimed: str = "",
@@ -67,12 +67,12 @@ def write_audit_entry(
     context = context_at(connection)
     audit = context.access_policy.audit if operation in TOKEN_OPERATIONS else context.audit
     audit.add(
-        who=person.name or claimed,
+        author=person.name or claimed,
         role=person.role,
         source=address_of(connection.scope),
         what=operation,
         arguments=dict(arguments or {}),
         result=result,
-        why=why,
+        reason=reason,
         command_id=command_id,
     )

@@ -24,7 +24,7 @@ from daq_service.web.routes.listing import CursorText, Limit, listing_name
 router = APIRouter(tags=["audit"])
 AUDITED_OPERATIONS = sorted({*OPERATIONS, *ORDERS, "enter"})
 EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
-Who = Annotated[str | None, Query(max_length=80, description="Only of this name")]
+Author = Annotated[str | None, Query(max_length=80, description="Only of this name")]
 What = Annotated[str | None, Query(max_length=600, description="Only these, comma-separated: pause,resume")]
 WithResult = Annotated[Result | None, Query(description="Only with this result")]
 RFC_3339 = re.compile(r"\d{4}-\d\d-\d\d[Tt]\d\d:\d\d:\d\d(\.\d+)?([Zz]|[+-]\d\d:\d\d)", re.ASCII)
@@ -45,7 +45,7 @@ ToUtc = Annotated[Moment | None, Query(description="Last moment, excluded")]
 @router.get("/audit", response_model=AuditPage, responses=problems(503))
 def list_audit(
     context: ContextOf,
-    who: Who = None,
+    author: Author = None,
     what: What = None,
     result: WithResult = None,
     from_utc: FromUtc = None,
@@ -53,7 +53,7 @@ def list_audit(
     cursor: CursorText = None,
     limit: Limit = 100,
 ) -> JsonAnswer:
-    """List commands, refusals, logins and changes of tokens, the newest first.
+    """List commands, rejections, logins and changes of tokens, the newest first.
 
     One answer covers a limited part of the file: with filters it may have few items, or none, and a cursor
     for earlier ones.
@@ -64,14 +64,14 @@ def list_audit(
 
     def is_selected(entry: AuditEntry) -> bool:
         return (
-            who in (None, entry.who)
+            author in (None, entry.author)
             and (kinds is None or entry.what in kinds)
             and result in (None, entry.result)
             and (first_ns is None or entry.utc_ns >= first_ns)
             and (end_ns is None or entry.utc_ns < end_ns)
         )
 
-    listing = listing_name("audit", who=who, what=what, result=result, first=first_ns, end=end_ns)
+    listing = listing_name("audit", author=author, what=what, result=result, first=first_ns, end=end_ns)
     try:
         entries, previous_end = read_audit(
             context.data_folder, limit=limit, end=cursors.decode(listing, cursor), wanted=is_selected
@@ -88,7 +88,9 @@ def _kinds(what: str | None) -> frozenset[str] | None:
     if kinds is not None and not kinds <= set(AUDITED_OPERATIONS):
         unknown = ", ".join(sorted(kinds - set(AUDITED_OPERATIONS)))
         raise invalid(
-            "No such deeds", f"what names {unknown[:200]!r}.", f"It takes {', '.join(AUDITED_OPERATIONS)}."
+            "No such operations",
+            f"what names {unknown[:200]!r}.",
+            f"It takes {', '.join(AUDITED_OPERATIONS)}.",
         )
     return kinds
 
@@ -96,7 +98,7 @@ def _kinds(what: str | None) -> frozenset[str] | None:
 def _check_range(first_ns: int | None, end_ns: int | None) -> None:
     if first_ns is not None and end_ns is not None and end_ns < first_ns:
         raise invalid(
-            "No such deeds",
+            "Invalid range",
             "to_utc lies before from_utc.",
             "The range includes from_utc and excludes to_utc.",
         )

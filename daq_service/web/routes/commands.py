@@ -93,7 +93,7 @@ def _execute_audited(context: Context, request: Request, person: Person, command
         command = command.model_copy(update={"author": person.name or command.author})
         command_id, result = _write_or_execute(context, command)
     except (Problem, StorageError) as refusal:
-        audit("refused", str(refusal))
+        audit("rejected", str(refusal))
         raise
     audit(result, command_id=command_id)
     return JsonAnswer(
@@ -129,7 +129,7 @@ def _facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
         recorder=context.freshness().recorder.status,
         recorded=is_owned(context.data_folder) is not False,
         can_skip_time=context.settings.clock.is_paced,
-        held=catalogue.held() or "",
+        paused=catalogue.paused() or "",
         positions=context.settings.names_of(SOLITARY_WAVE),
         has_supply=context.settings.rig.driven is not None,
         alarms=list(map(context.freshness().standing, catalogue.rows(AlarmRow))),

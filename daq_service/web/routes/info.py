@@ -75,7 +75,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
                 }
                 for name, place in settings.positions.items()
             ],
-            "held": catalogue.held(),
+            "paused": catalogue.paused(),
             "asked": _current_request(catalogue, fresh),
             "dry_run": None if started is None else started.payload.get("dry_run"),
             "last_event_id": fresh.last_event_id,

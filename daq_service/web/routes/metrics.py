@@ -114,7 +114,7 @@ def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     )
     yield _gauge("write_age_seconds", "Wall time since something was stored", fresh.wall_age_s)
     yield _gauge("test_hours", "Hour of the test", fresh.now_h)
-    yield _gauge("held", "1: somebody holds the test", catalogue.held() is not None)
+    yield _gauge("paused", "1: the test is paused", catalogue.paused() is not None)
     counts = catalogue.counts()
     for name, description in COUNTS.items():
         yield _counter(name, description, counts[name])

@@ -44,7 +44,7 @@ async def log_in(body: LogIn, request: Request, context: ContextOf) -> Response:
             context.access_policy.audit.leave_out()
         else:
             await to_thread(
-                write_audit_entry, request, Person(name="", role=""), "log_in", "refused", problem.detail
+                write_audit_entry, request, Person(name="", role=""), "log_in", "rejected", problem.detail
             )
         raise
     await to_thread(write_audit_entry, request, person, "log_in", "done")

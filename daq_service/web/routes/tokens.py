@@ -59,7 +59,7 @@ def create_access_token(
         )
     except UsageError as error:
         write_audit_entry(
-            request, person, "create_token", "refused", str(error), arguments=token_request.model_dump()
+            request, person, "create_token", "rejected", str(error), arguments=token_request.model_dump()
         )
         raise conflict(f"{error}.", "Choose another name, or revoke the one there is.") from None
     write_audit_entry(request, person, "create_token", "done", arguments=token_request.model_dump())
@@ -76,7 +76,7 @@ def revoke_access_token(
     try:
         token = revoke_token(context.access_policy.tokens_path, name)
     except UsageError as error:
-        write_audit_entry(request, person, "revoke_token", "refused", str(error), arguments={"name": name})
+        write_audit_entry(request, person, "revoke_token", "rejected", str(error), arguments={"name": name})
         raise conflict(f"{error}.", "/api/v1/tokens lists them.") from None
     write_audit_entry(request, person, "revoke_token", "done", arguments={"name": name})
     return JsonAnswer(token_row(token))

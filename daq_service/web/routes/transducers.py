@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 from fastapi import APIRouter
 
-from daq_service.alarms.states import PRIORITIES, retired_positions
+from daq_service.alarms.states import PRIORITIES, disabled_positions
 from daq_service.assessment.position_status import data_hour, is_stale, status_of
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import Row
@@ -80,7 +80,7 @@ def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | N
         "last_feature": _row(fresh, last.last_feature),
         "last_thickness": _row(fresh, last.last_thickness),
         "last_assessment": None if assessment is None else with_quality(context, fresh, [assessment])[0],
-        "disabled_reason": retired_positions(alarms).get(name),
+        "disabled_reason": disabled_positions(alarms).get(name),
         "active_alarms": len(visible_alarms),
         "suppressed_alarms": len(alarms) - len(visible_alarms),
         "shelved_until_utc": rfc3339(min(shelves, default=None)),

@@ -70,7 +70,7 @@ def write_acceptance_report(
 def _lines(report: AcceptanceReport) -> list[str]:
     """Return the lines for a terminal."""
     rows = [
-        (item.state, item.quantity.text, asked(item), interval(item.quantity), item.why)
+        (item.state, item.quantity.text, asked(item), interval(item.quantity), item.reason)
         for item in report.comparisons
     ]
     widths = [max(len(row[n]) for row in rows) for n in range(4)]

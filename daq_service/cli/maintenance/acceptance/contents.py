@@ -142,7 +142,7 @@ def as_json(report: AcceptanceReport) -> dict[str, object]:
         "criteria": [
             asdict(item.criterion)
             | {name: getattr(item.quantity, name) for name in ("unit", "value", "low", "high")}
-            | {"state": item.state, "why": item.why}
+            | {"state": item.state, "reason": item.reason}
             for item in report.comparisons
         ],
         "identity": dict(report.identity),

@@ -22,12 +22,12 @@ DEFAULTS = tuple(TEXTS.criteria)
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Comparison:
-    """Result of a criterion; ``why`` is the reason of its state."""
+    """Result of a criterion; ``reason`` is that of its state."""
 
     criterion: Criterion
     quantity: Quantity
     state: State
-    why: str
+    reason: str
 
 
 def with_limits(given: Sequence[str]) -> tuple[Criterion, ...]:
@@ -60,16 +60,16 @@ def compared(criteria: Iterable[Criterion], quantities: Mapping[str, Quantity]) 
     A quantity with an interval passes if the complete interval meets the limit, and fails if none of it does.
     """
     return [
-        Comparison(criterion=item, quantity=quantities[item.quantity], state=state, why=why)
+        Comparison(criterion=item, quantity=quantities[item.quantity], state=state, reason=reason)
         for item in criteria
-        for state, why in [_state(item, quantities[item.quantity])]
+        for state, reason in [_state(item, quantities[item.quantity])]
     ]
 
 
 def _state(criterion: Criterion, quantity: Quantity) -> tuple[State, str]:
     """Return the state of a criterion and its reason."""
     if criterion.limit is None:
-        return "left out", "nobody asks for it"
+        return "left out", "no limit is set"
     if not quantity.applies:
         return "does not apply", quantity.missing
     if quantity.value is None:

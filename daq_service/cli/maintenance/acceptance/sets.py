@@ -21,7 +21,7 @@ class Gap:
     """Consecutive sets without a record, and the time between the adjacent sets with one."""
 
     sets: Sequence[DueSet]
-    causes: Sequence[str]
+    reasons: Sequence[str]
     from_h: float
     until_h: float
 
@@ -42,13 +42,13 @@ def by_set(rows: Sequence[SetRow]) -> Mapping[int, list[SetRow]]:
 def gaps(evidence: Evidence) -> list[Gap]:
     """List the gaps in order; a set with all transducers disabled is not a gap."""
     rows, found = by_set(evidence.sets), list[Gap]()
-    missed_sets, causes, from_h = list[DueSet](), dict[str, None](), 0.0
+    missed_sets, reasons, from_h = list[DueSet](), dict[str, None](), 0.0
 
     def close(until_h: float) -> None:
         if missed_sets:
-            found.append(Gap(sets=tuple(missed_sets), causes=tuple(causes), from_h=from_h, until_h=until_h))
+            found.append(Gap(sets=tuple(missed_sets), reasons=tuple(reasons), from_h=from_h, until_h=until_h))
         missed_sets.clear()
-        causes.clear()
+        reasons.clear()
 
     for due in evidence.planned[: evidence.due]:
         set_rows = rows.get(due.set_index, [])
@@ -57,8 +57,8 @@ def gaps(evidence: Evidence) -> list[Gap]:
             from_h = due.due_h
         elif not set_rows or any(row.state == "missed" for row in set_rows):
             missed_sets.append(due)
-            causes.update(
-                dict.fromkeys([row.cause or "" for row in set_rows if row.state == "missed"] or [UNTOLD])
+            reasons.update(
+                dict.fromkeys([row.reason or "" for row in set_rows if row.state == "missed"] or [UNTOLD])
             )
     close(evidence.hour(evidence.now_ns))
     return found
@@ -106,21 +106,21 @@ def _fraction(part: int, total: int) -> float | None:
 
 
 def gap_table(evidence: Evidence) -> Table:
-    """Return the table of gaps with their causes."""
+    """Return the table of gaps with their reasons."""
     rows = [
-        (gap.sets[0].set_index, len(gap.sets), gap.from_h, gap.until_h, gap.hours, "; ".join(gap.causes))
+        (gap.sets[0].set_index, len(gap.sets), gap.from_h, gap.until_h, gap.hours, "; ".join(gap.reasons))
         for gap in gaps(evidence)
     ]
     return Table("gaps", rows)
 
 
 def shortfall_table(evidence: Evidence) -> Table:
-    """Return the table of missing records in sets with records, by cause."""
+    """Return the table of missing records in sets with records, by reason."""
     found: defaultdict[tuple[str, str], list[SetRow]] = defaultdict(list)
     with_records = {row.set_index for row in evidence.sets if row.n_taken}
     for row in evidence.sets:
         if row.state in ("partial", "missed") and row.set_index in with_records:
-            found[row.state, row.cause or ""].append(row)
+            found[row.state, row.reason or ""].append(row)
     rows = [
         (
             state,
@@ -128,9 +128,9 @@ def shortfall_table(evidence: Evidence) -> Table:
             len({row.set_index for row in set_rows}),
             sum(row.n_planned - evidence.accepted.get((row.set_index, row.position), 0) for row in set_rows),
             set_rows[0].due_h,
-            cause,
+            reason,
         )
-        for (state, cause), set_rows in found.items()
+        for (state, reason), set_rows in found.items()
     ]
     return Table("shortfalls", rows)
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from analysis.statistics.named_limits import CHART, DISTANCE, LIMITS
+from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 from daq_service.alarms.evidence import FEATURES
 from daq_service.assessment.stored_limits import limits_by_name, statistic_of
 from daq_service.recording.reassessment.explanation import Explained, Recomputed
@@ -144,7 +144,7 @@ def _panels(found: Explained, recomputed: Recomputed) -> Iterable[_Panel]:
         yield _Panel("valid shots", counted, {"needed": evidence["minimum_valid_shots"]})
     elif recomputed.baseline is not None:
         limits = limits_by_name(recomputed.baseline)
-        limit_names = (str(evidence.get("limit_name")), found.settings.novelty.limit, CHART)
+        limit_names = (str(evidence.get("limit_name")), found.settings.novelty.limit, MEWMA)
         names = [name for name in dict.fromkeys(limit_names) if name in LIMITS]
         for statistic in dict.fromkeys(LIMITS[name].of for name in names):
             of_it = {name: limits.get(name) for name in names if LIMITS[name].of == statistic}

@@ -37,7 +37,7 @@ export function gapRanges(gaps) {
   /** @type {any[]} */
   const ranges = [];
   for (const row of gaps) {
-    const label = row.state === "disabled" ? "disabled" : String(row.cause).startsWith("held") ? "held" : "missed";
+    const label = row.state === "disabled" ? "disabled" : /^(held|paused) by/.test(row.reason) ? "paused" : "missed";
     const last = ranges.at(-1);
     if (last && last.label === label && last.set_index + 1 === row.set_index)
       Object.assign(last, { to_h: row.due_h, set_index: row.set_index });
@@ -386,7 +386,7 @@ export class Board {
     const { lines, x, unit } = this.lines(view, positions, "mewma_statistic", "mewma_statistic", "chart");
     const { at, of: source, ...context } = this.context(view, positions);
     const { limits } = this.loader.info;
-    const limit = x.map((hour) => baselineAt(this.baselines(positions[0]), hour)?.row.limits?.chart ?? null);
+    const limit = x.map((hour) => baselineAt(this.baselines(positions[0]), hour)?.row.limits?.mewma ?? null);
     const values = this.trend(positions[0]).columns.mewma_statistic ?? [];
     if (limit.some((value) => value !== null) && values.some((/** @type {number | null} */ value) => value !== null))
       lines.push({

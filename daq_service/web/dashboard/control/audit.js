@@ -1,4 +1,4 @@
-// Show the audit to administrators, newest entry first: who, what, when, from where and the result.
+// Show the audit log to administrators, newest entry first: author, operation, time, source and result.
 
 import { get } from "../api.js";
 import { byId, el, setText } from "../dom.js";
@@ -37,8 +37,8 @@ const RANGES = [
   ["Yesterday", 1, 0],
   ["7 days", 6, null],
 ];
-const RESULTS = ["any result", "accepted", "done", "refused", "failed"];
-const COLUMNS = ["When", "Who", "Role", "From", "What", "Result"];
+const RESULTS = ["any result", "accepted", "done", "rejected", "failed"];
+const COLUMNS = ["Time", "Author", "Role", "Source", "Operation", "Result"];
 
 /** @param {number | null} days back from the last midnight */
 function midnight(days) {
@@ -52,14 +52,14 @@ function row(item) {
   const args = Object.entries(item.arguments)
     .filter(([name, value]) => name !== "request_id" && value !== null && value !== "")
     .map(([name, value]) => `${name}: ${value}`);
-  const omitted = item.left_out ? `; ${item.left_out} refusals before it are not told` : "";
+  const omitted = item.left_out ? `; ${item.left_out} rejections before it are not listed` : "";
   const cells = [
     el("time", { datetime: item.utc, title: item.utc, text: new Date(item.utc).toLocaleString() }),
-    item.who || "nobody known",
-    item.role || "a stranger",
+    item.author || "Unknown",
+    item.role || "Not logged in",
     item.source,
     [item.what, ...args].join(", "),
-    `${[item.result, item.outcome, item.why].filter(Boolean).join(": ")}${omitted}`,
+    `${[item.result, item.outcome, item.reason].filter(Boolean).join(": ")}${omitted}`,
   ];
   return el("tr", {}, ...cells.map((cell) => el("td", {}, cell)));
 }
@@ -68,13 +68,13 @@ export class Audit {
   constructor() {
     this.root = /** @type {HTMLDetailsElement} */ (byId("audit"));
     this.root.hidden = !isAllowed("list_audit");
-    this.who = /** @type {HTMLInputElement} */ (
+    this.author = /** @type {HTMLInputElement} */ (
       el("input", {
         class: "field small",
         type: "search",
-        placeholder: "anybody",
+        placeholder: "any author",
         maxlength: "80",
-        "aria-label": "Who",
+        "aria-label": "Author",
       })
     );
     this.result = /** @type {HTMLSelectElement} */ (el("select", { class: "field small", "aria-label": "Result" }));
@@ -102,13 +102,13 @@ export class Audit {
       this.body,
     );
     byId("audit-body").append(
-      el("div", { class: "chips" }, this.kind.root, this.range.root, this.who, this.result),
+      el("div", { class: "chips" }, this.kind.root, this.range.root, this.author, this.result),
       this.status,
-      el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Audit" }, table),
+      el("div", { class: "table-wrap", tabindex: "0", role: "region", "aria-label": "Audit log" }, table),
       this.olderButton,
     );
     this.root.addEventListener("toggle", () => this.root.open && void this.read(null));
-    this.who.addEventListener("change", () => void this.read(null));
+    this.author.addEventListener("change", () => void this.read(null));
     this.result.addEventListener("change", () => void this.read(null));
     this.olderButton.addEventListener("click", () => void this.read(this.cursor));
   }
@@ -135,7 +135,7 @@ export class Audit {
   async read(cursor) {
     const [, from, to] = RANGES[this.range.chosen];
     const filters = {
-      who: this.who.value.trim(),
+      author: this.author.value.trim(),
       what: KINDS[this.kind.chosen][1].join(","),
       result: this.result.value,
       from_utc: midnight(from),

@@ -25,7 +25,7 @@ function supplyEndText(supply) {
   const endText = supply.off_at_end ? " at the end of the test," : "";
   return (
     `It goes off by the order below, at ${significant(supply.interlock_current_a)} A or more ` +
-    `(interlock),${endText} and ${duration(supply.unwatched_s)} after the recorder is gone. Once off ` +
+    `(interlock),${endText} and ${duration(supply.watchdog_timeout_s)} after the recorder is gone. Once off ` +
     "it never goes on again by itself."
   );
 }
@@ -42,7 +42,8 @@ const QUESTIONS = {
         : [
             supply.off_at_end
               ? "The supply is switched off, and does not go on again by itself."
-              : `The supply stays as it is, and goes off after ${duration(supply.unwatched_s)} without a recorder.`,
+              : "The supply stays as it is. Its watchdog switches it off after " +
+                `${duration(supply.watchdog_timeout_s)} without a recorder.`,
           ]),
       "This page cannot take it back: to go on, somebody starts `solimon run` at the computer.",
     ],

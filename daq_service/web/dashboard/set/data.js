@@ -56,8 +56,8 @@ export async function readSetData(position, method, key) {
   const failed = waveforms instanceof Error;
   const reason = failed
     ? `The records cannot be read: ${waveforms.message}`
-    : set.cause
-      ? `Nothing was recorded: ${set.cause}.`
+    : set.reason
+      ? `Nothing was recorded: ${set.reason}.`
       : "No file of this set is stored.";
   return {
     set,

@@ -269,7 +269,7 @@ export class SolimonSet extends HTMLElement {
     );
     const chips = [];
     if (set && set.state !== "done")
-      chips.push(chip({ label: set.cause ? `${set.state}: ${set.cause}` : set.state, icon: "dash", tone: "warn" }));
+      chips.push(chip({ label: set.reason ? `${set.state}: ${set.reason}` : set.state, icon: "dash", tone: "warn" }));
     if (feature) chips.push(chip({ ...QUALITY[feature.quality], label: `Quality ${feature.quality}` }));
     if (assessment?.outlier) chips.push(chip({ ...PRIORITIES.high, label: "Outlier" }));
     if (assessment?.in_baseline) chips.push(chip({ label: "Baseline", icon: "flag", tone: "info" }));

@@ -97,14 +97,14 @@ def test_set_by_set_assessment_equals_that_of_the_whole_sequence(name, n):
     rows = np.flatnonzero(np.isfinite(x[:n]).all(axis=1))
     baseline = fit_baseline(x[rows], rows.tolist(), name="b", feature_names=NAMES)
     design = design_of(x[:n], baseline, Budget().run_length)
-    assert {key: limit for key, limit in design.limits.items() if key != "chart"} == found.limits
+    assert {key: limit for key, limit in design.limits.items() if key != "mewma"} == found.limits
     memory, beyond = state_at_end_of(baseline, x[rows[-1]]), []
     for row in [row for row in range(n, found.onsets[0] + 1) if np.isfinite(x[row]).all()]:
         memory, statistics = next_chart_state(memory, design, row, x[row])
         # Both compute the same, in another order of operations.
         assert statistics["distance_squared"] == pytest.approx(found.distances_squared[row], rel=1e-9)
         assert statistics["mewma_textbook"] == pytest.approx(found.mewma_textbook[row], rel=1e-9)
-        assert statistics["chart"] == pytest.approx(found.chart[row], rel=1e-9)
+        assert statistics["mewma"] == pytest.approx(found.chart[row], rel=1e-9)
         assert memory.alarming == (row == found.onsets[0])
         beyond += [row] if statistics["distance_squared_prewhitened"] > design.limits["default"] else []
     assert beyond[:1] == [row for row in [found.first["default"]] if row <= found.onsets[0]]

@@ -61,7 +61,7 @@ CHART: dict[str, Any] = {
     "set_index": 60,
     "mewma_statistic": 118.0,
     "limit": 59.0,
-    "limit_name": "chart",
+    "limit_name": "mewma",
     "distance_squared": 30.0,
     "rule": {"false_alarms_per_sensor_year": 0.2},
     "contributions": {"amplitude_ratio": 59.0, "tof_pp_s": 59.0},

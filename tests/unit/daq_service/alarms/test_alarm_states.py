@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from daq_service.alarms.operator_actions import acknowledge, reset
-from daq_service.alarms.states import Condition, Moment, retired_positions, update
+from daq_service.alarms.states import Condition, Moment, disabled_positions, update
 from daq_service.catalogue.rows import AlarmRow, AlarmState
 
 
@@ -177,12 +177,12 @@ def active_alarm(position: str | None, kind: str, state: AlarmState = "unacknowl
 @pytest.mark.parametrize("kind", ["no_reflection", "transducer_disabled"])
 @pytest.mark.parametrize("state", ["unacknowledged", "acknowledged", "returned_unacknowledged"])
 def test_an_active_hole_or_disable_alarm_disables_a_transducer(kind: str, state: str) -> None:
-    assert retired_positions([active_alarm("B", kind, state)]) == {"B": f"{kind} at B"}
+    assert disabled_positions([active_alarm("B", kind, state)]) == {"B": f"{kind} at B"}
 
 
 def test_a_reset_alarm_enables_the_transducer() -> None:
     assert (
-        retired_positions(
+        disabled_positions(
             [active_alarm("B", "no_reflection", "normal"), active_alarm("C", "transducer_disabled", "normal")]
         )
         == {}
@@ -191,7 +191,7 @@ def test_a_reset_alarm_enables_the_transducer() -> None:
 
 def test_one_of_two_active_alarms_is_enough() -> None:
     rows = (active_alarm("B", "no_reflection", "normal"), active_alarm("B", "transducer_disabled"))
-    assert retired_positions(rows) == {"B": "transducer_disabled at B"}
+    assert disabled_positions(rows) == {"B": "transducer_disabled at B"}
 
 
 def test_other_alarms_and_service_alarms_disable_no_transducer() -> None:
@@ -200,4 +200,4 @@ def test_other_alarms_and_service_alarms_disable_no_transducer() -> None:
         active_alarm("C", "few_valid_shots"),
         active_alarm(None, "instruments_unavailable"),
     )
-    assert retired_positions(rows) == {}
+    assert disabled_positions(rows) == {}

@@ -16,12 +16,11 @@ from daq_service.archive import (
     CorruptArchiveError,
     FolderArchive,
     SetNotFoundError,
-    finalize_set,
     reader,
 )
 from daq_service.archive.errors import ArchiveReadError
-from daq_service.archive.finalize_set import compact_set
-from daq_service.archive.journal import writer
+from daq_service.archive.finalize_set import finalize_set
+from daq_service.archive.journal import frames, writer
 from daq_service.archive.journal.reader import contents, read_journal, segments
 from daq_service.archive.journal.writer import Journal
 from daq_service.archive.layout import build_image
@@ -37,9 +36,22 @@ def archive(tmp_path):
 
 
 def append_set(archive, record):
-    archive.begin_set(record.set_key, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
+    archive.begin_set(record.set_key, due_utc_ns=record.due_utc_ns, started_utc_ns=1, disabled={})
     for item in record.records:
         archive.append(item, item.stamp.utc_ns)
+
+
+def test_positions_that_an_earlier_version_left_out_are_restored(archive, tmp_path, monkeypatch):
+    def earlier_frame(set_key, *, due_utc_ns, started_utc_ns, disabled):
+        facts = {"due_utc_ns": due_utc_ns, "retired": disabled}
+        return frames._frame(frames.Kind.BEGIN, set_key, facts, utc_ns=started_utc_ns)
+
+    monkeypatch.setattr("daq_service.archive.journal.writer.begin_frame", earlier_frame)
+    archive.begin_set(SetKey(7), due_utc_ns=5, started_utc_ns=1, disabled={"C": "worn"})
+    archive.sync()
+    with closing(FolderArchive(tmp_path)) as reopened:
+        (opened,) = reopened.open_sets().values()
+    assert (opened.due_utc_ns, opened.disabled) == (5, {"C": "worn"})
 
 
 class FailingCall:
@@ -86,7 +98,7 @@ def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
 @pytest.mark.parametrize("name", ["write_all", "synchronise"])
 def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_path, monkeypatch, name):
     first, *others = RECORDS
-    archive.begin_set(SetKey(SET_INDEX), due_utc_ns=1, started_utc_ns=1, retired={})
+    archive.begin_set(SetKey(SET_INDEX), due_utc_ns=1, started_utc_ns=1, disabled={})
     archive.append(first, 1)
     assert archive.sync() == [first.sequence]
     monkeypatch.setattr(writer, name, FailingCall(getattr(writer, name), 20, errno.EIO))
@@ -128,7 +140,7 @@ def test_a_segment_is_removed_with_its_last_set(tmp_path):
             append_set(archive, record)
             archive.store_set(record)
         for number, record in enumerate(sets, 1):
-            compact_set(tmp_path, record.set_key)
+            finalize_set(tmp_path, record.set_key)
             archive.settle(record.set_key)
             left = FolderArchive(tmp_path)
             assert left.open_sets() == {}
@@ -146,7 +158,7 @@ def test_the_byte_ranges_of_a_set_hold_all_its_frames_and_little_more(tmp_path):
     with closing(FolderArchive(tmp_path)) as archive:
         archive._journal_writer = Journal(tmp_path, segment_bytes=small)
         archive.store_set(first)
-        archive.begin_set(second.set_key, due_utc_ns=second.due_utc_ns, started_utc_ns=1, retired={})
+        archive.begin_set(second.set_key, due_utc_ns=second.due_utc_ns, started_utc_ns=1, disabled={})
         for item in second.records[:-1]:
             archive.append(item, item.stamp.utc_ns)
             archive.sync()
@@ -169,16 +181,18 @@ def test_the_byte_ranges_of_a_set_hold_all_its_frames_and_little_more(tmp_path):
         assert sum(len(content) for _, content in contents(tmp_path, places)) == end - start
         assert set(read_journal(tmp_path, places={number: (start, end)})) == {third.set_key}
         assert whole[start:end].strip(b"\0") == whole[start:end]
-        file, *_ = compact_set(tmp_path, second.set_key, archive.places(second.set_key))
+        file, *_ = finalize_set(tmp_path, second.set_key, archive.places(second.set_key))
         assert (tmp_path / file).read_bytes() == build_image(second)
 
 
-def test_a_compacted_set_is_compared_with_its_file(archive, tmp_path):
+def test_a_finalized_set_is_compared_with_its_file(archive, tmp_path):
     stored = archive.store_set(make_set())
-    compact_set(tmp_path, SetKey(SET_INDEX))
+    finalize_set(tmp_path, SetKey(SET_INDEX))
     file = tmp_path / stored.file
     content = file.read_bytes()
-    compact_set(tmp_path, SetKey(SET_INDEX))  # by a recorder that was killed before the first acknowledgement
+    finalize_set(
+        tmp_path, SetKey(SET_INDEX)
+    )  # by a recorder that was killed before the first acknowledgement
     assert file.read_bytes() == content
     changed = bytearray(content)
     with h5py.File(file) as opened:
@@ -186,16 +200,16 @@ def test_a_compacted_set_is_compared_with_its_file(archive, tmp_path):
     changed[chunk.byte_offset + 30] ^= 0xFF
     file.write_bytes(changed)
     with pytest.raises(CorruptArchiveError, match="backup: solimon repair --from BACKUP") as caught:
-        compact_set(tmp_path, SetKey(SET_INDEX))
+        finalize_set(tmp_path, SetKey(SET_INDEX))
     assert "skip_damaged" not in str(caught.value)
     assert "skip_damaged=True" in caught.value.__notes__[0]  # for who reads it in Python
     whole = make_set()
     other = replace(whole.shots[0], waveform=replace(whole.shots[0].waveform, counts=counts_of(99, 300)))
     file.write_bytes(build_image(replace(whole, shots=[other, *whole.shots[1:]])))
     with pytest.raises(CorruptArchiveError, match="is not what the journal holds"):
-        compact_set(tmp_path, SetKey(SET_INDEX))
+        finalize_set(tmp_path, SetKey(SET_INDEX))
     file.unlink()
-    compact_set(tmp_path, SetKey(SET_INDEX))
+    finalize_set(tmp_path, SetKey(SET_INDEX))
     assert file.read_bytes() == content
 
 
@@ -212,16 +226,16 @@ def test_a_temporary_read_error_is_no_corruption(archive, tmp_path, monkeypatch,
     archive.store_set(make_set())
 
     with monkeypatch.context() as patch:
-        patch.setattr(finalize_set, "read_shared", no_file(number))
+        patch.setattr("daq_service.archive.finalize_set.read_shared", no_file(number))
         with pytest.raises(OSError, match=re.escape(os.strerror(number))):
-            compact_set(tmp_path, SetKey(SET_INDEX))
-    compact_set(tmp_path, SetKey(SET_INDEX))
+            finalize_set(tmp_path, SetKey(SET_INDEX))
+    finalize_set(tmp_path, SetKey(SET_INDEX))
 
 
 def test_a_file_that_cannot_be_opened_for_lack_of_handles_is_no_corruption(archive, tmp_path, monkeypatch):
     """A start quarantines corrupt files without rows and must not quarantine this one."""
     stored = archive.store_set(make_set())
-    compact_set(tmp_path, SetKey(SET_INDEX))
+    finalize_set(tmp_path, SetKey(SET_INDEX))
     monkeypatch.setattr(reader.h5py, "File", no_file(errno.EMFILE))
     with pytest.raises(ArchiveReadError, match=r"cannot be read now: .*Too many open files"):
         archive.read_set(stored.file)
@@ -241,11 +255,11 @@ def test_a_segment_that_cannot_be_removed_is_removed_with_the_next_set(archive, 
 
 def test_an_incomplete_set_is_not_finalized(archive, tmp_path):
     with pytest.raises(SetNotFoundError, match="no set 7"):
-        compact_set(tmp_path, SetKey(SET_INDEX))
+        finalize_set(tmp_path, SetKey(SET_INDEX))
     append_set(archive, make_set())
     archive.sync()
     with pytest.raises(CorruptArchiveError, match="set 7 in the journal has no end"):
-        compact_set(tmp_path, SetKey(SET_INDEX))
+        finalize_set(tmp_path, SetKey(SET_INDEX))
 
 
 def test_a_group_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):

@@ -9,7 +9,7 @@ from hardware_drivers.measurement import SetKey
 
 RECORDS = make_set().records
 WRITTEN = [
-    begin_frame(SetKey(7), due_utc_ns=5, started_utc_ns=6, retired={"C": "worn"}),
+    begin_frame(SetKey(7), due_utc_ns=5, started_utc_ns=6, disabled={"C": "worn"}),
     *map(record_frame, RECORDS),
     end_frame(make_set()),
 ]
@@ -25,7 +25,7 @@ ALL = sound(SEGMENT)
 
 
 def test_the_header_holds_the_number_of_an_unscheduled_set_as_in_earlier_versions():
-    content = b"".join(begin_frame(SetKey(7, 2), due_utc_ns=5, started_utc_ns=6, retired={}))
+    content = b"".join(begin_frame(SetKey(7, 2), due_utc_ns=5, started_utc_ns=6, disabled={}))
     assert HEADER.unpack_from(content)[6] == 20_000_007
     assert [frame.set_key for frame in frames(content)] == [SetKey(7, 2)]
     assert list(frames(content, of_set=SetKey(7))) == []

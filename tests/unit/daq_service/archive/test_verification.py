@@ -13,7 +13,7 @@ from support.damaging import PAGE, damaged
 from support.memory_archive import bits
 
 from daq_service.archive import FolderArchive
-from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.journal import frames as frame_format
 from daq_service.archive.journal.checking import check_journal
 from daq_service.archive.journal.reader import read_journal, segment_path
@@ -92,7 +92,7 @@ def test_a_different_compression_library_is_no_corruption(path, image):
 
 def append_set(archive, record):
     archive.begin_set(
-        record.set_key, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
+        record.set_key, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, disabled={}
     )
     for item in record.records:
         archive.append(item, item.stamp.utc_ns)
@@ -194,7 +194,7 @@ def test_a_group_moved_to_a_new_segment_is_no_corruption(journal):
 
 
 def test_a_corrupt_frame_of_a_set_that_has_its_file_is_ignored(journal):
-    compact_set(journal, SetKey(SET_INDEX))
+    finalize_set(journal, SetKey(SET_INDEX))
     path = segment_path(journal, 1)
     content = bytearray(path.read_bytes())
     shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 42)

@@ -186,7 +186,7 @@ def test_a_wall_diagnosis_raises_an_alarm_before_the_chart_does():
     assert not wall_conditions("B", named, RULES, wall_row)[0].present
     alarming = replace(named, memory=replace(quiet, alarming=True))
     by_chart = wall_conditions("B", alarming, chart, wall_row)[0]
-    assert by_chart.evidence["raised_by"] == "chart"
+    assert by_chart.evidence["raised_by"] == "mewma"
     assert not any(
         "not the chart" in sentence for sentence in describe_evidence(by_chart.kind, by_chart.evidence)
     )

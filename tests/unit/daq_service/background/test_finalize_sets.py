@@ -58,7 +58,7 @@ def test_an_error_of_the_worker_is_reported_and_retried(archive, tmp_path, monke
         raise refusal
 
     with monkeypatch.context() as patch:
-        patch.setattr(module, "compact_set", refuse)
+        patch.setattr(module, "finalize_set", refuse)
         making.after_set(SetKey(SET_INDEX))
         making.run_for(0.0)
         assert (making.waits, making.trouble, files(tmp_path)) == (True, str(refusal), [])

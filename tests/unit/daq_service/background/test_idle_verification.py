@@ -48,10 +48,10 @@ class IdleBench:
 
     def __init__(self, folder, worker=None):
         self.now_s, self.lost, self.worker = 0.0, {}, worker or ReadingExecutor()
-        self.compaction = SetFinalizer(folder, FiledArchive(folder), start=lambda: self.worker)
+        self.finalizer = SetFinalizer(folder, FiledArchive(folder), start=lambda: self.worker)
         self.trouble, self.noted = None, {}
         self.check = IdleVerification(
-            folder, self.compaction, lambda: self.lost, self.sha256_of, self.note, mono_s=lambda: self.now_s
+            folder, self.finalizer, lambda: self.lost, self.sha256_of, self.note, mono_s=lambda: self.now_s
         )
 
     def sha256_of(self, set_index):

@@ -40,13 +40,13 @@ class Line:
         self.files = {
             SetKey(index): self.archive.store_set(record).file for index, record in self.records.items()
         }
-        self.compaction = SetFinalizer(
+        self.finalizer = SetFinalizer(
             folder, self.archive, start=AtOnce, results=lambda set_index: RESULTS, also=self.tile
         )
         self.tiling = TileMaker(
             folder,
             "ab/1",
-            self.compaction,
+            self.finalizer,
             lambda: self.files,
             lambda set_index: self.read.append(set_index) or RESULTS,
             has_room=lambda: self.room,
@@ -60,8 +60,8 @@ class Line:
         """Write the files of all sets; without free space they get no tiles."""
         self.room = room
         for set_key in self.files:
-            self.compaction.after_set(set_key)
-            self.compaction.run_for(0.0)
+            self.finalizer.after_set(set_key)
+            self.finalizer.run_for(0.0)
         self.room = True
         assert len(list((self.folder / "sets").iterdir())) == N_SETS
 
@@ -81,7 +81,7 @@ class Line:
 def line(tmp_path):
     line = Line(tmp_path)
     yield line
-    line.compaction.close()
+    line.finalizer.close()
     line.archive.close()
 
 
@@ -114,8 +114,8 @@ def test_in_idle_time_older_sets_get_tiles_newest_first(line):
 
 
 def test_no_tile_is_made_while_set_files_are_pending(line):
-    line.compaction.after_set(SetKey(SET_INDEX))
-    assert line.compaction.waits
+    line.finalizer.after_set(SetKey(SET_INDEX))
+    assert line.finalizer.waits
     line.read.clear()
     line.work(free_s=QUIET_S + 1)
     assert line.read == []
@@ -145,7 +145,7 @@ def test_a_folder_that_cannot_hold_tiles_is_logged_once_and_stops_no_set(line, c
             line.now_s += EVERY_S
     warnings = [record.message for record in caplog.records if "tiles of the waterfall" in record.message]
     assert len(warnings) == 2, "once by the making of files, once by the rounds"
-    assert line.compaction.trouble == ""
+    assert line.finalizer.trouble == ""
 
 
 def test_a_full_volume_gets_no_tiles(line):

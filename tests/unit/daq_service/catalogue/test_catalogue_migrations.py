@@ -23,6 +23,7 @@ from daq_service.catalogue.errors import CatalogueError, SchemaVersionError
 from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
+    AssessorStateRow,
     BaselineRow,
     CommandRow,
     EnvironmentRow,
@@ -237,7 +238,7 @@ EVIDENCE = {
     "diagnosis_details": PROBABILITIES,
     "raised_by": "diagnosis",
     "mewma_statistic": 72.0,
-    "limit_name": "chart",
+    "limit_name": "mewma",
     "rate_verified": False,
     "rate_not_verified_reason": "48 sets",
     "consecutive_poor_sets": 2,
@@ -472,6 +473,51 @@ def test_an_unscheduled_set_of_revision_0015_gets_its_own_column(tmp_path):
             line = {**values(event), "topic": topic, "kind": kind, "payload": payload, "set_index": NUMBER}
             del line["unscheduled_index"]
             assert EventRow(**current_row("events", line)) == event, "a line of the history is the same row"
+
+
+CHART = {"limits": {"chart": 59.0}, "averages": {"mewma_textbook": [0.5], "chart": [0.25]}}
+EVIDENCE_0016 = {"limit_name": "chart", "raised_by": "chart", "limit": 59.0}
+EVENTS_0016 = [
+    ("service", "pause", {"held": "held by ann: door open", "author": "ann"}),
+    ("assessments", "baseline_frozen", {"id": 1, "limits": {"chart": 59.0}}),
+    ("alarms", "alarm_raised", {"evidence": EVIDENCE_0016}),
+    ("sets", "set_missed", {"cause": "no trigger"}),
+]
+
+
+def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path):
+    path = tmp_path / "catalogue.sqlite"
+    upgrade(path, "0016")
+    done = SetRow(id=1, set_index=3, position="B", due_h=1.5, **_SET)
+    crc32 = row_crc32(done)
+    with closing(sqlite3.connect(path)) as database, database:
+        insert(database, "experiment", id=1, name="t", configuration_hash="ab", configuration={}, uuid="u",
+               created_utc_ns=1, epoch_utc_ns=7, clock="wall", solimon_version="0")  # fmt: skip
+        insert(database, "sets", id=1, set_index=3, position="B", due_h=1.5, **_SET, row_crc32=crc32)
+        insert(database, "sets", id=2, set_index=4, position="B", due_h=2.0, **_SET, cause="no trigger")
+        insert(database, "assessments", id=1, set_index=3, position="B", **ROWS_0015["assessments"], **CHART)
+        insert(database, "alarms", id=1, evidence=EVIDENCE_0016, **_ALARM)
+        insert(database, "assessor_states", place="B/running", position="B", configuration_hash="ab",
+               format=1, state='{"averages":{"chart":[0.25]}}')  # fmt: skip
+        for number, (topic, kind, payload) in enumerate(EVENTS_0016, start=1):
+            insert(database, "events", id=number, utc_ns=1, wall_utc_ns=2, topic=topic, kind=kind,
+                   payload=payload)  # fmt: skip
+    open_catalogue(tmp_path, writer=True).close()
+    assert rows_of(path, "sets", "id, row_crc32")[0] == (1, crc32), "the row of a complete set stays as it is"
+    with open_catalogue(tmp_path) as catalogue:  # which compares every row with its checksum
+        assert [row.reason for row in catalogue.rows(SetRow)] == [None, "no trigger"]
+        (assessment,) = catalogue.rows(AssessmentRow)
+        assert (assessment.limit_name, assessment.limits) == ("mewma", {"mewma": 59.0})
+        assert assessment.averages == {"mewma_textbook": [0.5], "mewma": [0.25]}
+        (alarm,) = catalogue.rows(AlarmRow)
+        assert alarm.evidence == {"limit_name": "mewma", "raised_by": "mewma", "limit": 59.0}
+        assert [row.state for row in catalogue.rows(AssessorStateRow)] == ['{"averages":{"mewma":[0.25]}}']
+        assert catalogue.paused() == "held by ann: door open"
+        events = catalogue.rows(EventRow)
+        for event, (topic, kind, payload) in zip(events[:3], EVENTS_0016, strict=False):
+            line = {**values(event), "topic": topic, "kind": kind, "payload": payload}
+            assert EventRow(**current_row("events", line)) == event, "a line of the history is the same row"
+        assert current_row("sets", EVENTS_0016[3][2]) == {"reason": "no trigger"}
 
 
 def test_an_interrupted_migration_leaves_a_filled_catalogue_unchanged(tmp_path):

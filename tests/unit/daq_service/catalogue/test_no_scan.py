@@ -41,7 +41,7 @@ def random_catalogue(folder, seed):
                 SetRow(**own, due_utc_ns=index, ended_utc_ns=index if n_taken else None, method=method,
                        state=state, n_planned=2, n_taken=n_taken)
             )  # fmt: skip
-            news = {"utc_ns": index, "position": position, "set_index": index, "payload": {"held": ""}}
+            news = {"utc_ns": index, "position": position, "set_index": index, "payload": {"paused": ""}}
             commit.events.append(EventRow(**news, topic="sets", kind=f"set_{state}"))
             stamp = {"utc_ns": 0, "mono_ns": 0, "boot_id": "", "crc32": 0, "valid": True, "flags": []}
             found = {**own, "extractor_version": "1", "quality": "good"}
@@ -59,7 +59,7 @@ def random_catalogue(folder, seed):
                 commit.features.append(FeatureRow(**found, shot_index=None, sequence=None, n_valid=n_taken))
                 commit.assessments.append(AssessmentRow(**own, in_baseline=False, limit_name="f_predictive"))
         if chance.random() < 0.3:
-            word = {"utc_ns": index, "topic": "service", "payload": {"held": f"by {index}"}}
+            word = {"utc_ns": index, "topic": "service", "payload": {"paused": f"by {index}"}}
             kind = chance.choice(["pause", "resume", "recorder_started"])
             commit.events.append(EventRow(**word, kind=kind))
             commit.alarms.append(
@@ -182,7 +182,7 @@ def test_no_frequent_query_reads_every_row(tmp_path):
                     catalogue.rows(kind, limit=101, after_id=after_id, **filters)
         catalogue.counts()
         catalogue.positions_state()
-        catalogue.held()
+        catalogue.paused()
         catalogue.last_event_id()
         catalogue.events_after(7, ["alarms", "sets"])
         catalogue.events_after(7)

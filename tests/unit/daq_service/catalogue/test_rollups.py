@@ -24,10 +24,10 @@ def random_sets(folder, seed):
     """Return sets of one position and their rows: assessed again, late, missed, disabled, without values."""
     chance = random.Random(seed)
     catalogue, rows_by_set, waiting = new_catalogue(folder), {}, []
-    retired = range(200, 240)
+    disabled = range(200, 240)
     for index in range(N_SETS):
         own = {"position": "B", "set_index": index, "due_h": 0.5 + index / 2}
-        state = "disabled" if index in retired else chance.choice(["done"] * 6 + ["missed"])
+        state = "disabled" if index in disabled else chance.choice(["done"] * 6 + ["missed"])
         commit, row = SetCommit(), {"state": state, "due_h": own["due_h"], "alarms": 0, "outlier": None}
         commit.sets.append(SetRow(**own, method="solitary_wave", due_utc_ns=index, state=state, n_planned=2))
         if state == "done":

@@ -58,7 +58,7 @@ def test_a_value_converted_by_sql_is_no_corruption(folder):
     [
         (SetRow, "UPDATE sets SET n_taken = 1", 1),
         (SetRow, "UPDATE sets SET id = 7", 7),
-        (SetRow, "UPDATE sets SET cause = ''", 1),
+        (SetRow, "UPDATE sets SET reason = ''", 1),
         (SetRow, "UPDATE sets SET n_taken = 'four'", 1),
         (FeatureRow, "UPDATE features SET tof_ac_s = tof_ac_s * 1.0000000000000002", 1),
         (EventRow, "UPDATE events SET payload = replace(payload, 'null', '0.0')", 1),
@@ -97,7 +97,7 @@ def test_columns_are_compared_too(folder):
 
 
 def test_a_new_empty_column_changes_no_checksum():
-    assert row_crc32(replace(SET, id=1)) == row_crc32(replace(SET, id=1, cause=None, file_sha256=None))
+    assert row_crc32(replace(SET, id=1)) == row_crc32(replace(SET, id=1, reason=None, file_sha256=None))
     assert row_crc32(replace(SET, id=1)) != row_crc32(replace(SET, id=2))
 
 

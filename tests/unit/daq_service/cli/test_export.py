@@ -160,7 +160,7 @@ def test_a_set_in_the_journal_is_no_corruption(folder, tmp_path):
     record = read_set(path)
     path.unlink()
     with closing(FolderArchive(folder)) as archive:
-        archive.begin_set(SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
+        archive.begin_set(SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=1, disabled={})
         for item in record.records:
             archive.append(item, item.stamp.utc_ns)
         archive.store_set(record)

@@ -22,7 +22,7 @@ from support.served_web import served
 from support.small_experiment import SMALL, disturbed_rig, rows_of, run, small_settings
 
 from daq_service.archive import FolderArchive, FolderSetReader
-from daq_service.archive.finalize_set import compact_set
+from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.journal.reader import segment_path
 from daq_service.assessment.results_in_file import results_in
 from daq_service.catalogue import open_catalogue
@@ -200,7 +200,7 @@ def test_a_set_of_another_test_or_under_another_name_is_named(folder):
 
 def audit_three(folder):
     for author in ("ann", "ben", "cleo"):
-        Audit(folder).add(who=author, role="admin", source="terminal", what="pause", result="accepted")
+        Audit(folder).add(author=author, role="admin", source="terminal", what="pause", result="accepted")
 
 
 def notify_three(folder):
@@ -438,7 +438,7 @@ def test_repair_restores_a_file_from_the_journal_or_quarantines_it(folder):
     (folder / FILES[2]).unlink()
     with closing(FolderArchive(folder)) as archive:
         archive.begin_set(
-            SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
+            SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, disabled={}
         )
         for item in record.records:
             archive.append(item, item.stamp.utc_ns)
@@ -567,7 +567,7 @@ def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
     record = FolderSetReader(folder).read_set(FILES[2])
     (folder / FILES[2]).unlink()
     with closing(FolderArchive(folder)) as archive:
-        archive.begin_set(SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
+        archive.begin_set(SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=1, disabled={})
         for item in record.records:
             archive.append(item, item.stamp.utc_ns)
         archive.store_set(record)
@@ -577,7 +577,7 @@ def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
         assert FolderSetReader(copy).read_set(FILES[2]).set_index == 2
         assert segment_path(copy, 1).stat().st_size < 10**6, "the room for what is to come is left out"
     with open_catalogue(folder) as catalogue:
-        compact_set(folder, SetKey(2), results=results_in(catalogue, SetKey(2)))
+        finalize_set(folder, SetKey(2), results=results_in(catalogue, SetKey(2)))
     with closing(FolderArchive(folder)) as archive:
         archive.settle(SetKey(2))
     back_up(folder, copy)

@@ -31,7 +31,7 @@ def filled(tmp_path):
     folder.close()
 
 
-def store_missed_set(filled, index, cause, *positions, state="missed"):
+def store_missed_set(filled, index, reason, *positions, state="missed"):
     """Store the rows of a missed or incomplete set."""
     due = filled.due[index]
     commit = SetCommit()
@@ -44,7 +44,7 @@ def store_missed_set(filled, index, cause, *positions, state="missed"):
                 due_utc_ns=due.due_utc_ns,
                 due_h=due.due_h,
                 state=state,
-                cause=cause,
+                reason=reason,
                 n_planned=1,
             )
         )
@@ -122,10 +122,10 @@ def test_a_distance_of_another_set_is_not_shown_with_these_features(filled):
 
 
 def test_data_that_are_older_than_the_cadence_explains_are_stale(filled):
-    filled.say("pause", filled.due[SETS + 2].due_utc_ns, held="held by ann: door open")
+    filled.say("pause", filled.due[SETS + 2].due_utc_ns, paused="paused by ann: door open")
     lines = status_of(filled)
     assert "  90 min STALE  " in line_of(lines, " B")
-    assert line_of(lines, "paused") == "paused  held by ann: door open; nothing strikes until it is resumed"
+    assert line_of(lines, "paused") == "paused  by ann: door open; nothing strikes until it is resumed"
     assert line_of(lines, "now").startswith(
         f"now  hour {filled.due[SETS + 2].due_h:.2f} of the test, last written"
     )
@@ -153,12 +153,12 @@ def test_status_lists_alarms_with_state_and_age(filled):
 
 def test_gaps_are_named_with_their_cause_neighbours_together(filled):
     for index in range(SETS, SETS + 3):
-        store_missed_set(filled, index, "held by ann")
+        store_missed_set(filled, index, "paused by ann")
     store_missed_set(filled, SETS + 3, "no trigger", "D")
     hour = f"hour {filled.due[SETS + 2].due_h:g}"
     lines = [re.sub(r"  +", "  ", line) for line in status_of(filled) if line.startswith("gap")]
     assert lines == [
-        f"gap  3 sets, {SETS} to {SETS + 2}, missed at A, B, C, D, {hour}: held by ann",
+        f"gap  3 sets, {SETS} to {SETS + 2}, missed at A, B, C, D, {hour}: paused by ann",
         f"gap  set {SETS + 3} missed at D, hour {filled.due[SETS + 3].due_h:g}: no trigger",
     ]
     for index in range(SETS + 4, SETS + 14):

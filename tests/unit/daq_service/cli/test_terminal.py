@@ -14,7 +14,7 @@ from daq_service.cli import terminal
 from daq_service.cli.terminal import ProgressReport, duration, open_page, why_no_screen
 
 ALARM = {"change": "alarm_raised", "hour": 12.5, "priority": "high", "message": "hole at C: inspect"}
-GAP = {"state": "missed", "positions": ["A", "B"], "cause": "held by ann: door open"}
+GAP = {"state": "missed", "positions": ["A", "B"], "reason": "paused by ann: door open"}
 
 
 class Log:
@@ -89,12 +89,12 @@ def test_the_first_and_last_of_consecutive_gaps_with_one_reason_are_printed(caps
             log.progress(1.0, index + 1)
         log.progress(1.0, 7)
         log.after(0.0, "gap", set_index=9, **GAP)
-        log.after(0.0, "gap", set_index=10, **{**GAP, "cause": "the computer slept"})
+        log.after(0.0, "gap", set_index=10, **{**GAP, "reason": "the computer slept"})
     assert lines(capsys) == [
-        "set 3 missed at A, B: held by ann: door open",
+        "set 3 missed at A, B: paused by ann: door open",
         "hour 2.0, set 4 of 100",
-        "sets 4 to 5, too, missed at A, B: held by ann: door open",
-        "set 9 missed at A, B: held by ann: door open",
+        "sets 4 to 5, too, missed at A, B: paused by ann: door open",
+        "set 9 missed at A, B: paused by ann: door open",
         "set 10 missed at A, B: the computer slept",
     ]
 

@@ -209,7 +209,7 @@ def test_a_retired_baseline_resets_its_change_alarms_with_the_same_author(
     ended = bench.catalogue.rows(EventRow, topic="alarms")[-2:]
     reason = "its baseline was retired: coupled anew"
     for change in map(transition, ended):
-        assert (change["kind"], change["who"], change["why"]) == ("alarm_reset", "ann", reason)
+        assert (change["kind"], change["author"], change["reason"]) == ("alarm_reset", "ann", reason)
     assert [event.payload["acknowledged_by"] for event in ended] == ["ann", "bob"], "who saw it first"
     bench.restart()
     assert bench.ledger.alarms[("B", "wall_change")].state == "normal"
@@ -256,13 +256,13 @@ def test_the_rows_of_a_command_are_stored_with_its_result(
     monkeypatch.setattr(bench.catalogue, "finish_command", killed)
     bench.listener.listen()
     assert [bench.answer(order_id)[0] for order_id in orders] == ["done"] * 3
-    assert bench.listener.held == "held by ann: door open"
+    assert bench.listener.paused == "paused by ann: door open"
 
 
 def test_a_command_past_its_deadline_expires_and_is_not_executed(bench: Bench) -> None:
     bench.left_s = 0.0
     state, message = bench.execute("supply_on")
-    assert (state, message.split(":")[0]) == ("expired", "not carried out, and nobody will")
+    assert (state, message.split(":")[0]) == ("expired", "not executed")
     assert bench.switch is not None
     assert bench.switch.done == []
 
@@ -299,7 +299,7 @@ def test_an_open_command_of_an_earlier_recorder_is_closed_and_never_executed(
     for order_id in (waiting, rows_only):
         state, message = bench.answer(order_id)
         assert (state, "it was given before this recorder began" in message) == ("expired", True)
-    assert bench.listener.held == "", "what it would have stored is not there"
+    assert bench.listener.paused == "", "what it would have stored is not there"
     assert bench.switch is not None
     assert bench.switch.done == []
     assert bench.execute("supply_on") == ("done", "the supply is on")
@@ -340,7 +340,7 @@ def test_a_command_that_is_open_at_the_end_expires(bench: Bench) -> None:
     state, message = bench.answer(order_id)
     assert (state, "the recorder has ended" in message) == ("expired", True)
     bench.restart()
-    assert bench.listener.held == ""
+    assert bench.listener.paused == ""
 
 
 def test_the_recorder_ends_an_expired_shelf_without_a_new_set(bench: Bench) -> None:
@@ -357,21 +357,21 @@ def test_the_recorder_ends_an_expired_shelf_without_a_new_set(bench: Bench) -> N
         (row,) = bench.catalogue.rows(AlarmRow)
         assert (row.suppressed, row.state) == (suppressed, "unacknowledged")
     assert bench.catalogue.rows(EventRow)[-1].kind == "alarm_shelf_expired"
-    assert bench.ledger.retired().keys() == {"C"}, "a shelf strikes nobody's transducer"
+    assert bench.ledger.disabled().keys() == {"C"}, "a shelf strikes nobody's transducer"
 
 
 def test_a_pause_has_one_reason_and_survives_a_restart(bench: Bench) -> None:
     done = "paused: nothing strikes until the test is resumed; due sets are missed"
     assert bench.execute("pause", note="door open") == ("done", done)
-    assert bench.listener.held == "held by ann: door open"
-    already = "the test is already paused: held by ann: door open"
+    assert bench.listener.paused == "paused by ann: door open"
+    already = "the test is already paused by ann: door open"
     assert bench.execute("pause", note="why") == ("rejected", already)
     bench.restart()
-    assert bench.listener.held == "held by ann: door open"
+    assert bench.listener.paused == "paused by ann: door open"
     assert bench.execute("resume", note="shut") == ("done", "resumed: the next due set is taken")
-    assert bench.listener.held == ""
+    assert bench.listener.paused == ""
     bench.restart()
-    assert bench.listener.held == ""
+    assert bench.listener.paused == ""
     assert bench.execute("resume") == ("rejected", "the test is not paused")
 
 
@@ -382,24 +382,24 @@ def test_pending_commands_are_executed_in_order(bench: Bench) -> None:
     ]
     bench.listener.listen()
     assert [bench.answer(order)[0] for order in orders] == ["done", "rejected", "done", "rejected"]
-    assert bench.listener.held == ""
+    assert bench.listener.paused == ""
 
 
 def test_a_transducer_is_disabled_and_enabled(bench: Bench) -> None:
     assert bench.execute("disable", position="B", note="coil is hot") == ("done", "B is disabled")
-    assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
+    assert bench.ledger.disabled() == {"B": "disabled by ann: coil is hot"}
     assert bench.execute("strike", position="B") == ("rejected", "B is disabled")
     assert bench.execute("disable", position="B") == ("rejected", "B is disabled")
     bench.restart()
-    assert bench.ledger.retired() == {"B": "retired by ann: coil is hot"}
+    assert bench.ledger.disabled() == {"B": "disabled by ann: coil is hot"}
     assert bench.execute("enable", position="B") == ("done", "B strikes again from the next set")
-    assert bench.ledger.retired() == {}
+    assert bench.ledger.disabled() == {}
     assert bench.execute("enable", position="B") == ("rejected", "B is not disabled")
 
 
 def test_a_disabled_transducer_names_the_author_of_the_command(bench: Bench) -> None:
     bench.execute("disable", position="C")
-    assert bench.ledger.retired() == {"C": "retired by ann: no reason given"}
+    assert bench.ledger.disabled() == {"C": "disabled by ann: no reason given"}
     (event,) = bench.catalogue.events_after(0, {"alarms"})
     assert (event.kind, event.payload["evidence"]) == ("alarm_raised", {"command_id": 1})
     assert event.payload["raised_h"] == HOUR

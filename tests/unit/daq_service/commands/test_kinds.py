@@ -13,7 +13,13 @@ from daq_service.errors import UsageError
 
 
 def facts(**values):
-    anything = {"can_skip_time": True, "held": "", "positions": ("B", "C"), "has_supply": True, "alarms": ()}
+    anything = {
+        "can_skip_time": True,
+        "paused": "",
+        "positions": ("B", "C"),
+        "has_supply": True,
+        "alarms": (),
+    }
     return Facts(**(anything | values))  # type: ignore[arg-type] # a test's own values
 
 
@@ -61,7 +67,7 @@ OUT_OF_SERVICE = replace(
 )
 OPEN = {
     "alarms": [alarm("unacknowledged", position="C"), DOUBTED, SHELVED, OUT_OF_SERVICE],
-    "held": "",
+    "paused": "",
     "places": ("A", "B", "C"),
     "annotations": [NOTED],
     "baselines": {"B": frozen_baseline("B", state="proposed")},
@@ -70,8 +76,8 @@ OPEN = {
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
 def test_a_permitted_command_is_executed(kind):
-    held = "held by ben" if kind == "resume" else ""
-    assert order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**{**OPEN, "held": held})) is None
+    paused = "paused by ben" if kind == "resume" else ""
+    assert order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**{**OPEN, "paused": paused})) is None
 
 
 @pytest.mark.parametrize("kind", sorted(KINDS))
@@ -107,9 +113,9 @@ def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind):
         ),
         (
             "pause",
-            {"held": "held by ben"},
-            "the test is already paused: held by ben",
-            "The test is already paused: held by ben.",
+            {"paused": "paused by ben"},
+            "the test is already paused by ben",
+            "The test is already paused by ben.",
             "Resume it first; a pause has one reason.",
         ),
         (
@@ -149,9 +155,9 @@ def test_without_a_recorder_only_commands_that_change_rows_are_accepted(kind):
         ),
         (
             "strike",
-            {"held": "held by ben"},
-            "the test is paused: held by ben",
-            "The test is paused: held by ben.",
+            {"paused": "paused by ben"},
+            "the test is paused by ben",
+            "The test is paused by ben.",
             "Resume it when all hands are out of the rig.",
         ),
         (

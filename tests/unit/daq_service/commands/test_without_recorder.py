@@ -48,7 +48,7 @@ def facts(catalogue):
         recorder="finished",
         recorded=False,
         can_skip_time=False,
-        held="",
+        paused="",
         positions=("B",),
         has_supply=False,
         alarms=catalogue.rows(AlarmRow),

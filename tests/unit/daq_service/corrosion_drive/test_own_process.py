@@ -24,9 +24,12 @@ from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
-UNWATCHED_S = 600.0
+WATCHDOG_S = 600.0
 PARAMETERS = SupplyParameters(
-    line=SerialLineParameters(port="COM4"), identity="ANY", log_interval_s=10.0, unwatched_s=UNWATCHED_S
+    line=SerialLineParameters(port="COM4"),
+    identity="ANY",
+    log_interval_s=10.0,
+    watchdog_timeout_s=WATCHDOG_S,
 )
 LOST = ConnectionLostError("the supply at COM4 is gone")
 ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "current_limit_a": None}
@@ -115,14 +118,14 @@ def bench(tmp_path):
         ({"commanded": False, "alone_s": 10.0}, "leave"),
         ({"commanded": False, "silent_s": 900.0}, "stay"),  # just started: its recorder will ask
         ({"commanded": False, "alone_s": 10.0, "stays": True}, "stay"),
-        ({"commanded": False, "alone_s": 2.0, "unwatched_s": 2.0}, "leave"),
+        ({"commanded": False, "alone_s": 2.0, "watchdog_timeout_s": 2.0}, "leave"),
     ],
 )
 def test_the_next_action(facts, action):
     usual: dict[str, Any] = {
         "silent_s": 0.0,
         "alone_s": 0.0,
-        "unwatched_s": UNWATCHED_S,
+        "watchdog_timeout_s": WATCHDOG_S,
         "commanded": True,
         "pending": False,
         "stays": False,
@@ -132,9 +135,9 @@ def test_the_next_action(facts, action):
 
 def test_an_unwatched_supply_is_switched_off_once_and_released(bench):
     bench.ask()
-    bench.run(UNWATCHED_S - 5.0)
+    bench.run(WATCHDOG_S - 5.0)
     assert bench.supply.on
-    bench.run(UNWATCHED_S)
+    bench.run(WATCHDOG_S)
     assert not bench.supply.on
     assert bench.process.leaves
     kept = read_stored_state(bench.folder)
@@ -156,7 +159,7 @@ def test_an_unwatched_supply_is_switched_off_once_and_released(bench):
 def test_a_request_restarts_the_watchdog(bench):
     for _ in range(5):
         bench.ask()
-        bench.run(UNWATCHED_S - 10.0)
+        bench.run(WATCHDOG_S - 10.0)
     assert bench.supply.on
     assert bench.active() == set()
 
@@ -164,7 +167,7 @@ def test_a_request_restarts_the_watchdog(bench):
 def test_a_step_of_utc_neither_switches_off_nor_keeps_on(bench):
     bench.ask()
     bench.clock.ahead_ns = 86_400 * 10**9
-    bench.run(UNWATCHED_S - 5.0)
+    bench.run(WATCHDOG_S - 5.0)
     assert bench.supply.on
     bench.clock.ahead_ns = -86_400 * 10**9
     bench.run(20.0)
@@ -173,7 +176,7 @@ def test_a_step_of_utc_neither_switches_off_nor_keeps_on(bench):
 
 def test_a_silent_supply_is_switched_off_before_the_process_ends(bench):
     bench.supply.error = LOST
-    bench.run(10 * UNWATCHED_S)
+    bench.run(10 * WATCHDOG_S)
     assert not bench.process.leaves
     assert read_supply_status(bench.folder).state == "unknown"  # type: ignore[union-attr]
     assert read_supply_status(bench.folder).switch_off_pending  # type: ignore[union-attr]
@@ -217,7 +220,7 @@ def test_a_killed_process_leaves_the_output_and_the_next_one_continues(bench):
 
 def test_a_restarted_process_counts_the_earlier_silence(bench):
     bench.ask()
-    bench.run(UNWATCHED_S - 10.0)
+    bench.run(WATCHDOG_S - 10.0)
     bench.process.store_state(at_once=True)
     bench.restart()
     bench.run(GRACE_S - 5.0)
@@ -282,7 +285,7 @@ def test_without_a_successor_that_reads_it_switches_off_itself(bench, successor)
 def test_a_supply_that_does_not_answer_is_switched_off_after_the_hand_over_when_it_does(bench):
     hand_over(bench)
     bench.supply.error = LOST
-    bench.run(UNWATCHED_S)
+    bench.run(WATCHDOG_S)
     assert not bench.process.leaves
     bench.supply.error = None
     bench.run(10.0)
@@ -313,7 +316,7 @@ def test_a_port_at_which_it_never_read_the_supply_is_released_at_once(tmp_path, 
 
 def test_the_process_ends_only_after_the_output_reads_off(bench):
     bench.supply.current_a = 0.95
-    bench.run(0.5 * UNWATCHED_S)
+    bench.run(0.5 * WATCHDOG_S)
     kept = read_stored_state(bench.folder)
     assert kept is not None
     assert (bench.process.leaves, kept.output) == (True, "off")
@@ -336,7 +339,7 @@ def test_a_full_disk_does_not_affect_the_supply_process(bench, monkeypatch):
 
     monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_stored_state", full)
     bench.ask()
-    bench.run(UNWATCHED_S + 60.0)
+    bench.run(WATCHDOG_S + 60.0)
     assert not bench.supply.on
 
 
@@ -349,7 +352,7 @@ def test_a_disk_that_hangs_delays_neither_interlock_nor_unwatched_limit(tmp_path
     assert not bench.supply.on, "a short circuit"
     bench.supply.current_a = 0.2
     bench.ask(**ON)
-    bench.run(UNWATCHED_S + 10.0)
+    bench.run(WATCHDOG_S + 10.0)
     assert not bench.supply.on
     assert (len(jobs) > 1, read_stored_state(tmp_path)) == (True, None)
 
@@ -411,14 +414,14 @@ def test_a_state_that_cannot_be_read_counts_as_on(tmp_path, content):
     assert (now is not None, now and now.switch_off_pending, now and now.state) == (True, True, "unknown")
     bench = Bench(tmp_path)
     bench.supply.on, bench.supply.error = True, LOST
-    bench.run(2 * UNWATCHED_S)
+    bench.run(2 * WATCHDOG_S)
     assert not bench.process.leaves
     bench.supply.error = None
     bench.run(10.0)
     assert not bench.supply.on
 
 
-@pytest.mark.parametrize(("away_s", "on"), [(UNWATCHED_S - 10.0, True), (UNWATCHED_S + 10.0, False)])
+@pytest.mark.parametrize(("away_s", "on"), [(WATCHDOG_S - 10.0, True), (WATCHDOG_S + 10.0, False)])
 def test_a_command_ends_when_no_process_ran_for_the_unwatched_limit(bench, away_s, on):
     bench.process.store_state(at_once=True)
     bench.clock.advance(away_s)
@@ -458,7 +461,7 @@ def test_a_supply_that_is_on_is_never_given_up(tmp_path):
     )
     bench = Bench(tmp_path)
     bench.supply.error = LOST
-    bench.run(2 * UNWATCHED_S)
+    bench.run(2 * WATCHDOG_S)
     assert not bench.process.leaves
 
 

@@ -150,7 +150,7 @@ NEWS = """
 from daq_service.cli.terminal import ProgressReport
 with ProgressReport() as telling:
     for _ in range(3000):
-        telling('waits', why='a rig that does not answer, and a long reason ' * 3)
+        telling('waits', reason='a rig that does not answer, and a long reason ' * 3)
 print_line('the last word')
 end_process(3)
 sys.exit(3)

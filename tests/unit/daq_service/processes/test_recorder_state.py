@@ -146,7 +146,7 @@ def stored_set(catalogue):
         due_utc_ns=0,
         due_h=0.0,
         state="missed",
-        cause="why",
+        reason="why",
         n_planned=10,
     )
     catalogue.commit_set(SetCommit(sets=[gap]))

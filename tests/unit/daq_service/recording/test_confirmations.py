@@ -199,7 +199,7 @@ def test_a_pause_ends_a_confirmation_set(line):
     send_at(line, ("B", AFTER_FIRST, 1), "pause", note="hands in the rig")
     line.run()
     (row,) = confirmation_rows(line)
-    assert (row.state, row.n_taken, row.cause) == ("partial", 2, "held by Ada: hands in the rig")
+    assert (row.state, row.n_taken, row.reason) == ("partial", 2, "paused by Ada: hands in the rig")
     assert confirmation_of_b(line).confirms is None
     assert all(index not in range(FIRST + 1, SETS) for _, index, _, _ in line.instruments[0].struck)
 
@@ -315,4 +315,4 @@ def test_a_confirmation_set_that_is_too_late_after_a_restart_is_closed_as_it_is(
     line.run(start_h=9.6, archive=MemoryArchive(line.shelf))
     row = confirmation_rows(line)[0]
     assert (row.set_key, row.state, row.n_taken) == (AFTER_FIRST, "partial", 1)
-    assert row.cause.startswith("it takes up to 29 s, and the next planned set is due in 0 s")
+    assert row.reason.startswith("it takes up to 29 s, and the next planned set is due in 0 s")

@@ -33,7 +33,7 @@ class Opener:
         self.stop = threading.Event()
 
     def hear(self, event, **values):
-        self.reports.append((event, values.get("why") or values["change"]))
+        self.reports.append((event, values.get("reason") or values["change"]))
 
     def open(self, refusals, look=lambda: None):
         left = [GONE] * refusals

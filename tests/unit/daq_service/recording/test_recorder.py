@@ -36,7 +36,7 @@ def states(line, position):
 
 
 def causes(line, position):
-    return [row.cause for row in line.rows("sets", position)]
+    return [row.reason for row in line.rows("sets", position)]
 
 
 def events_of(line, kind):
@@ -204,7 +204,7 @@ def test_a_set_missed_while_another_program_locks_the_catalogue_has_that_as_its_
 
     monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
     assert line.run(clock=clock, mono_s=Seconds())
-    missed = {row.cause for row in line.rows("sets", "B") if row.state == "missed"}
+    missed = {row.reason for row in line.rows("sets", "B") if row.state == "missed"}
     assert missed == {"the recorder waited for the disk: database is locked"}
 
 
@@ -256,7 +256,7 @@ class SlowWorker(BackgroundTask):
 def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
     monkeypatch.setattr("daq_service.recording.waiting.MOST_UNDER_WAY", 2)
     worker = SlowWorker()
-    assert line.run(archive=MemoryArchive(line.shelf), compaction=worker)
+    assert line.run(archive=MemoryArchive(line.shelf), finalizer=worker)
     assert (worker.most, worker.n_under_way) == (3, 0)
     assert states(line, "B") == ["done"] * SETS
 
@@ -271,7 +271,7 @@ def test_the_alarm_of_sets_without_files_is_stored_though_the_catalogue_refused_
         return commit(catalogue, transaction)
 
     monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
-    assert line.run(compaction=worker, mono_s=Seconds())
+    assert line.run(finalizer=worker, mono_s=Seconds())
     (alarm,) = [row for row in line.alarms() if row.kind == "write_failed"]
     assert (alarm.state, "no file can be made" in alarm.message) == ("unacknowledged", True)
 
@@ -460,7 +460,7 @@ def test_a_missed_strike_makes_a_set_partial_with_a_count(line):
     line.run()
     row = line.rows("sets", "B")[1]
     assert (row.state, row.n_taken, row.n_missed, row.n_restrikes) == ("missed", 0, 6, 2)
-    assert row.cause == "6 missed: no trigger at B"
+    assert row.reason == "6 missed: no trigger at B"
     assert row.file is None
     assert states(line, "C")[1] == "done"
 
@@ -667,7 +667,7 @@ def test_a_pause_ends_the_running_set(line):
     line.run()
     assert line.instruments[0].struck[-1] == ("C", 1, 1, 0)
     assert states(line, "C")[:3] == ["done", "partial", "missed"]
-    assert causes(line, "D")[1] == "held by Ada: hands in the rig"
+    assert causes(line, "D")[1] == "paused by Ada: hands in the rig"
 
 
 def test_a_transducer_disabled_during_a_set_is_not_struck_again(line):

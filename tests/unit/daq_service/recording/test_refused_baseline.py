@@ -71,7 +71,7 @@ def test_an_alarm_is_active_until_the_baseline_is_retired(line):
     )
     assert row.message == f"nothing is judged at B: {REASON}"
     history = [transition(event) for event in line.rows("events") if event.topic == "alarms"]
-    assert [(event["kind"], event["who"], event["why"]) for event in history] == [
+    assert [(event["kind"], event["author"], event["reason"]) for event in history] == [
         ("alarm_raised", None, row.message),
         ("alarm_reset", "Ada", "its baseline was retired: a hold"),
     ]

@@ -146,7 +146,7 @@ def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
     assessments = line.rows("assessments", "B")
     assert [row.set_index for row in assessments if row.in_baseline] == [*range(15), *range(18, 33)]
     assert [row.outlier for row in assessments[15:18]] == [False, True, None], "16 by the baseline of before"
-    assert assessments[17].reason == "its baseline was retired before it was judged"
+    assert assessments[17].reason == "its baseline was retired before it was assessed"
     assert {(row.baseline_id, row.outlier) for row in assessments[33:]} == {(6, False)}
     assert [(row.state, row.approved_utc_ns) for row in line.rows("baselines", "C")] == [("proposed", None)]
     stopped = Line(line.folder.parent / "stopped", line.settings, listen_every_s=0.0)
@@ -237,7 +237,7 @@ def test_a_hole_trips_the_supply_immediately_and_once(line):
         ((reason, hour),) = drive.trips
         assert "no reflected wave at C in 4 of 4 shots, 2 sets running" in reason
         assert hour == 2.5
-        assert ledger.retired().keys() == {"C"}
+        assert ledger.disabled().keys() == {"C"}
         assert drive.rows == 2
 
 
@@ -252,7 +252,7 @@ def test_sets_of_lost_samples_are_no_data_and_no_hole(line):
         ledger.drive = drive = Drive()
         for index in (3, 4):
             assess_set(ledger, again, *records[index])
-        assert (drive.trips, ledger.retired()) == ([], {})
+        assert (drive.trips, ledger.disabled()) == ([], {})
     assert {row.kind for row in line.alarms()} == {"few_valid_shots"}
 
 
@@ -279,7 +279,7 @@ def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
         ledger.commit(Transaction())
         assert restored_states(again)["D"] == bits(ledger.assessors["D"].state)
         assess_set(ledger, again, *records[2])
-        assert "D" not in ledger.retired()
+        assert "D" not in ledger.disabled()
 
 
 def ended_after(position, set_index, stop, script, last_shot=3):
@@ -303,7 +303,7 @@ def test_a_restart_restores_an_enabled_transducer(line):
     def script(key):
         return silent("noisy") if key.position == "D" and key.set_index in (0, 1, 2, 4, 5) else healthy(key)
 
-    run_until(line, "C", 3, script)  # D retired after three poor sets: C's is the last strike
+    run_until(line, "C", 3, script)  # D disabled after three poor sets: C's is the last strike
     line.order("enable", position="D")
     run_until(line, "D", 4, script)
     assert_rows_have_the_stored_states(line)
@@ -422,7 +422,7 @@ def test_every_position_has_a_row_in_every_set(line):
         (index, position) for index in range(SETS) for position in "ABCD"
     ]
     missed = rows[[(row.set_index, row.position) for row in rows].index((1, "A"))]
-    assert (missed.state, missed.n_missed, missed.cause) == (
+    assert (missed.state, missed.n_missed, missed.reason) == (
         "missed",
         1,
         "1 missed: no trigger at A",
@@ -456,7 +456,7 @@ def test_gaps_and_alarms_are_reported_after_they_are_stored(line):
     gap, alarm = reports
     assert gap[0] == "gap"
     assert (gap[1]["set_index"], gap[1]["state"], gap[1]["positions"]) == (3, "missed", ["D"])
-    assert gap[1]["cause"] == line.rows("sets", "D")[3].cause
+    assert gap[1]["reason"] == line.rows("sets", "D")[3].reason
     assert gap[3] == 4, "its row is stored before it is told"
     row = line.alarms()[-1]
     assert alarm[0] == "alarm"

@@ -160,7 +160,7 @@ def test_sets_due_while_no_recorder_ran_on_a_stepped_clock_have_their_cause(labo
     laboratory.machine.set_clock(-1.0)
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory, missed=[4])
-    assert {row.cause for row in laboratory.line.rows("sets") if row.state == "missed"} == {DOWN}
+    assert {row.reason for row in laboratory.line.rows("sets") if row.state == "missed"} == {DOWN}
 
 
 def test_a_boot_in_2010_waits_for_a_set_clock_and_loses_nothing(laboratory):
@@ -200,7 +200,7 @@ def test_sets_missed_with_an_unverified_clock_have_that_cause(laboratory):
     laboratory.machine.after(1.0, set_right)  # an hour of waiting: two more
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory, missed=[4, 5, 6])
-    causes = [row.cause for row in laboratory.line.rows("sets", "B")][4:7]
+    causes = [row.reason for row in laboratory.line.rows("sets", "B")][4:7]
     assert causes[:2] == [DOWN] * 2
     assert causes[2].startswith("the recorder waited for a set clock: the system's clock says 2010")
 
@@ -295,7 +295,7 @@ def test_sets_missed_during_sleep_have_that_cause(laboratory):
     laboratory.machine.after(2.2, lambda: laboratory.machine.sleep(1.2 * 3600.0))
     assert laboratory.run()
     assert_every_set_once_in_order(laboratory, missed=[4])
-    assert laboratory.line.rows("sets", "B")[4].cause == OVERSLEPT
+    assert laboratory.line.rows("sets", "B")[4].reason == OVERSLEPT
     assert laboratory.event_payloads("clock_step") == []
 
 

@@ -86,7 +86,7 @@ def test_moments_are_the_starts_and_stamps_in_order(tmp_path):
     assert again.next_moment(first.due_utc_ns + HOUR_NS) == later.started_utc_ns
 
 
-def test_a_position_that_was_retired_at_first_is_known_from_the_configuration(tmp_path):
+def test_a_position_that_was_disabled_at_first_is_known_from_the_configuration(tmp_path):
     configured = {
         "configuration": {"positions": {"B": {"method": "solitary_wave"}, "E": {"method": "pulse_echo"}}}
     }

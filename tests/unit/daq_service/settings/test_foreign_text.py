@@ -63,7 +63,7 @@ def test_no_control_character_reaches_a_terminal(capsys, monkeypatch):
 def test_an_event_of_a_running_test_is_one_line(capsys):
     with ProgressReport() as reporting:
         reporting("alarm", change="alarm_raised", hour=1.0, priority="critical", message=EVIL)
-        reporting("waits", why=EVIL)
+        reporting("waits", reason=EVIL)
     lines = capsys.readouterr().err.splitlines()
     assert len(lines) == 2
     assert not any("\x1b" in line for line in lines)

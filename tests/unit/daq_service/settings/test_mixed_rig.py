@@ -158,7 +158,7 @@ def test_the_drive_is_an_instrument_s_by_its_name(tmp_path):
     assert psu.serves == {"supply": ()}
     assert settings.rig.driven is settings.rig.drive is not None
     assert settings.rig.drive.voltage_v == 10.0
-    watched = load(tmp_path, GOOD + PSU + "unwatched_s = 60.0\n")
+    watched = load(tmp_path, GOOD + PSU + "watchdog_timeout_s = 60.0\n")
     stronger = load(tmp_path, GOOD + PSU + "voltage_v = 11.0\n")
     assert settings.configuration_hash() == watched.configuration_hash() != stronger.configuration_hash()
 

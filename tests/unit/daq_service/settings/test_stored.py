@@ -122,6 +122,16 @@ def test_a_renamed_key_is_read_under_its_name_of_today(monkeypatch, today, measu
     assert differences(before, NOW) == []
 
 
+def test_the_timeout_of_the_supply_s_watchdog_is_read_under_its_earlier_name():
+    before = {"rig": {"supply": {"unwatched_s": 60.0}, "drive": {"unwatched_s": 30.0}}}
+    tables = renamed(before)["rig"]
+    assert tables == {"supply": {"watchdog_timeout_s": 60.0}, "drive": {"watchdog_timeout_s": 30.0}}
+
+
+def test_a_limit_is_read_under_its_earlier_name():
+    assert stored_settings({"novelty": {"limit": "chart"}}).novelty.limit == "mewma"
+
+
 def test_a_renamed_table_takes_its_keys_along(monkeypatch):
     monkeypatch.setattr(stored, "RENAMED", {"judgement": "novelty"})
     before = stored_configuration()

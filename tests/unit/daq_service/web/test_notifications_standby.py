@@ -69,7 +69,7 @@ def test_the_web_service_and_the_standby_process_continue_each_other(filled, rec
 def test_a_stopped_web_service_holds_no_message_back(filled, receiver):
     """Its process is alive and keeps the lock of the delivery log."""
     beat(filled.folder, deadline_s=0.0)
-    with hold_lock(filled.folder, service.LOCK_FILE, ME, who="process"), ExitStack() as stack:
+    with hold_lock(filled.folder, service.LOCK_FILE, ME, holder="process"), ExitStack() as stack:
         stack.enter_context(standing_by(filled.settings, filled.folder, monitors_recorder=False))
         until(lambda: DeliveryLog(filled.folder).read_progress(["duty"]), "the receiver's line")
         assert alarm(filled, receiver, "no_reflection") == ["no_reflection"]
@@ -81,7 +81,7 @@ def test_a_process_that_lost_the_lock_stops_sending(filled, receiver):
         until(lambda: client.get("/api/v1/notifications").json()["receivers"][0]["began"], "its line")
         lock = filled.folder / service.LOCK_FILE
         lock.unlink()
-        with hold_lock(filled.folder, service.LOCK_FILE, "process 1", who="process"):
+        with hold_lock(filled.folder, service.LOCK_FILE, "process 1", holder="process"):
             silent = until(
                 lambda: client.get("/api/v1/notifications").json()["not_sending_reason"], "its look"
             )

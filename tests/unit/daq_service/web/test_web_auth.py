@@ -18,6 +18,7 @@ from support.waiting import until
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
+from daq_service.catalogue.history import line_of
 from daq_service.commands.audit import Audit, read_audit
 from daq_service.errors import StorageError, UsageError
 from daq_service.processes.line_file import newest_lines
@@ -104,7 +105,7 @@ def test_without_tokens_requests_are_accepted_under_their_claimed_name(filled):
         assert api.post("/api/v1/commands", json=HOLD).json()["author"] == "mallory"
         assert api.post("/api/v1/tokens", json={"name": "ann", "role": "admin"}).status_code == 409
         (row,) = [row for row in api.get("/api/v1/audit").json()["items"] if row["what"] == "pause"]
-    assert (row["who"], row["role"], row["result"], row["source"]) == (
+    assert (row["author"], row["role"], row["result"], row["source"]) == (
         "mallory",
         "claimed",
         "accepted",
@@ -124,9 +125,9 @@ def test_with_a_token_the_name_is_the_token_s(filled, tokens):
         assert (refused.status_code, refused.json()["type"]) == (403, "urn:solimon:problem:role-too-low")
         assert "stop needs the role engineer; ann is operator" in refused.text
     (held,) = audit_entries(filled.folder, what="pause")
-    assert (held.who, held.role, held.result, held.command_id) == ("ann", "operator", "accepted", 1)
+    assert (held.author, held.role, held.result, held.command_id) == ("ann", "operator", "accepted", 1)
     (stopped,) = audit_entries(filled.folder, what="stop")
-    assert (stopped.who, stopped.result, stopped.command_id) == ("ann", "refused", None)
+    assert (stopped.author, stopped.result, stopped.command_id) == ("ann", "rejected", None)
 
 
 def test_the_page_exchanges_a_token_for_a_cookie_and_logs_out(filled, tokens):
@@ -150,8 +151,8 @@ def test_the_page_exchanges_a_token_for_a_cookie_and_logs_out(filled, tokens):
         assert page.get(DUE).status_code == 200
         assert page.delete("/api/v1/session").json()["name"] is None
         assert page.get(DUE).status_code == 401
-    assert [(deed.what, deed.who, deed.result) for deed in audit_entries(filled.folder)] == [
-        ("log_in", "", "refused"),
+    assert [(deed.what, deed.author, deed.result) for deed in audit_entries(filled.folder)] == [
+        ("log_in", "", "rejected"),
         ("log_in", "ann", "done"),
         ("log_out", "ann", "done"),
     ]
@@ -270,8 +271,10 @@ def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):
         assert "sha256" not in api.get("/api/v1/tokens").text
         first = api.get("/api/v1/audit?limit=1").json()
         rest = api.get("/api/v1/audit", params={"limit": 99, "cursor": first["next_cursor"]}).json()
-    entries = [(row["what"], row["result"]) for row in first["items"] + rest["items"] if row["who"] == "ann"]
-    assert entries == [("revoke_token", "done"), ("create_token", "refused"), ("create_token", "done")]
+    entries = [
+        (row["what"], row["result"]) for row in first["items"] + rest["items"] if row["author"] == "ann"
+    ]
+    assert entries == [("revoke_token", "done"), ("create_token", "rejected"), ("create_token", "done")]
 
 
 # Other hosts
@@ -375,22 +378,22 @@ def test_public_addresses_without_authentication_are_rejected_at_the_start(tmp_p
 def test_a_flood_of_refusals_leaves_a_bounded_number_of_lines_and_their_count(tmp_path):
     now_s = [0.0]
     audit = Audit(tmp_path, machine=clock_in_seconds(lambda: now_s[0]))
-    stranger = {"who": "", "role": "", "source": "10.0.0.9", "what": "enter"}
+    stranger = {"author": "", "role": "", "source": "10.0.0.9", "what": "enter"}
     for _ in range(150):
-        audit.add(**stranger, result="refused")
-    audit.add(who="ann", role="viewer", source="10.0.0.1", what="stop", result="refused")
+        audit.add(**stranger, result="rejected")
+    audit.add(author="ann", role="viewer", source="10.0.0.1", what="stop", result="rejected")
     found = audit_entries(tmp_path)
     assert len(found) == 101
-    assert (found[-1].who, found[-1].left_out) == ("ann", 50)
+    assert (found[-1].author, found[-1].left_out) == ("ann", 50)
     now_s[0] += 121.0
-    audit.add(**stranger, result="refused")
-    audit.add(**stranger, result="refused")
+    audit.add(**stranger, result="rejected")
+    audit.add(**stranger, result="rejected")
     assert len(audit_entries(tmp_path)) == 102
 
 
 def test_a_torn_line_takes_no_other_with_it(tmp_path):
     audit = Audit(tmp_path)
-    ann = {"who": "ann", "role": "admin", "source": "terminal", "what": "pause", "result": "accepted"}
+    ann = {"author": "ann", "role": "admin", "source": "terminal", "what": "pause", "result": "accepted"}
     audit.add(**ann)
     with (tmp_path / "audit.jsonl").open("ab") as file:
         file.write(b'{"crc32":"0000')
@@ -399,13 +402,21 @@ def test_a_torn_line_takes_no_other_with_it(tmp_path):
     assert ([number for number, _ in found], before) == ([2, 1], None)
 
 
+def test_an_entry_of_an_earlier_version_is_read_with_the_current_names(tmp_path):
+    entry = {"who": "", "role": "", "source": "10.0.0.9", "what": "enter", "result": "refused"}
+    line = line_of(1, "audit", {**entry, "why": "the token is unknown", "utc_ns": 1})
+    (tmp_path / "audit.jsonl").write_bytes(line)
+    (found,) = audit_entries(tmp_path, result="rejected")
+    assert (found.author, found.reason) == ("", "the token is unknown")
+
+
 @pytest.fixture
 def audited(tmp_path):
     """Return 25 audit entries, one per second from 2024-01-01T00:00:00Z, of two people in turns."""
     audit = Audit(tmp_path)
     for number in range(25):
         audit.add(
-            who=("ann", "ben")[number % 3 == 0],
+            author=("ann", "ben")[number % 3 == 0],
             role="admin",
             source="terminal",
             what=("pause", "stop")[number % 2],
@@ -419,10 +430,10 @@ def audited(tmp_path):
 @pytest.mark.parametrize(
     ("query", "found"),
     [
-        ({"who": "ben"}, range(0, 25, 3)),
+        ({"author": "ben"}, range(0, 25, 3)),
         ({"what": "pause"}, range(0, 25, 2)),
-        ({"what": "pause,stop", "who": "ann"}, [n for n in range(25) if n % 3]),
-        ({"result": "refused"}, []),
+        ({"what": "pause,stop", "author": "ann"}, [n for n in range(25) if n % 3]),
+        ({"result": "rejected"}, []),
         ({"from_utc": "2024-01-01T00:00:03Z", "to_utc": "2024-01-01T01:00:07+01:00"}, range(3, 7)),
         ({"from_utc": "0001-01-01T00:00:00+14:00", "to_utc": "9999-12-31T23:59:59-14:00"}, range(25)),
     ],
@@ -468,10 +479,15 @@ def test_invalid_and_foreign_requests_are_audited_without_their_content(filled, 
         with pytest.raises(InvalidStatus):
             connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=B", origin="http://x").close()
     invalid, host, *origins = audit_entries(filled.folder)
-    assert (invalid.who, invalid.role, invalid.what) == ("ann", "operator", "create_command")
-    assert (invalid.result, invalid.why) == ("refused", "the request was not valid")
-    assert (host.who, host.what, host.result, len(host.why)) == ("", "enter", "refused", LONGEST_REASON)
-    assert ["Origin is 'http://x'" in deed.why for deed in origins] == [True, True]
+    assert (invalid.author, invalid.role, invalid.what) == ("ann", "operator", "create_command")
+    assert (invalid.result, invalid.reason) == ("rejected", "the request was not valid")
+    assert (host.author, host.what, host.result, len(host.reason)) == (
+        "",
+        "enter",
+        "rejected",
+        LONGEST_REASON,
+    )
+    assert ["Origin is 'http://x'" in deed.reason for deed in origins] == [True, True]
     assert text not in (filled.folder / "audit.jsonl").read_text(encoding="utf-8")
 
 

@@ -95,7 +95,7 @@ def test_a_shelved_alarm_is_counted_separately_with_its_expiry(ended):
     assert answer.json()["state"] == "done"
     assert api.get("/api/v1/transducers/B").json()["active_alarms"] == 1
     history = api.get("/api/v1/alarms/1/history").json()["items"]
-    assert [(row["kind"], row["who"], row["why"]) for row in history[1:]] == [
+    assert [(row["kind"], row["author"], row["reason"]) for row in history[1:]] == [
         ("alarm_shelved", "Ada", "known"),
         ("alarm_acknowledged", "operator", ""),
         ("alarm_unshelved", "ben", "mended"),

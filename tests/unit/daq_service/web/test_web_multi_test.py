@@ -183,7 +183,7 @@ def test_a_command_is_audited_in_the_folder_of_its_test(several):
     order = {"kind": "pause", "author": "ann", "arguments": {"note": "hands in the rig"}}
     assert several.client.post("/tests/hole-nr-2/api/v1/commands", json=order).status_code == 202
     (entry, *_) = several.client.get("/tests/hole-nr-2/api/v1/audit").json()["items"]
-    assert (entry["what"], entry["who"]) == ("pause", "ann")
+    assert (entry["what"], entry["author"]) == ("pause", "ann")
     assert several.client.get("/tests/hole-its-twin/api/v1/audit").json()["items"] == []
     assert several.client.get("/api/v1/audit").json()["items"] == []
 
@@ -352,10 +352,14 @@ def test_one_login_is_valid_for_all_tests_of_the_service_alone(several, tmp_path
         order = {"kind": "disable", "author": "x", "arguments": {"position": "B"}}
         assert client.post("/tests/hole-its-twin/api/v1/commands", json=order).status_code == 403
         deeds, _ = read_audit(tmp_path, limit=10)
-        assert [(deed.what, deed.who) for _, deed in deeds] == [("log_in", "vera")]
+        assert [(deed.what, deed.author) for _, deed in deeds] == [("log_in", "vera")]
         headers = {"Authorization": f"Bearer {admin}"}
         (refusal,) = client.get("/tests/hole-its-twin/api/v1/audit", headers=headers).json()["items"]
-        assert (refusal["what"], refusal["who"], refusal["result"]) == ("create_command", "vera", "refused")
+        assert (refusal["what"], refusal["author"], refusal["result"]) == (
+            "create_command",
+            "vera",
+            "rejected",
+        )
 
 
 def test_a_test_whose_own_service_asks_for_tokens_is_not_shown_without_any(several, tmp_path):

@@ -72,7 +72,7 @@ def missed(folder, index):
         state="missed",
         due_utc_ns=due.due_utc_ns,
         due_h=due.due_h,
-        cause="held",
+        reason="held",
         n_planned=1,
     )
 

@@ -198,15 +198,15 @@ def test_info_shows_a_pause_and_a_dry_run(tmp_path):
 
         def pause_and_dry_run():
             info = get(api, "/api/v1/info")
-            return info["held"], info["dry_run"]
+            return info["paused"], info["dry_run"]
 
         assert pause_and_dry_run() == (None, None), "a recorder of an older version does not say"
         filled.say("recorder_started", dry_run=True)
-        filled.say("pause", held="held by ann: door open", author="ann")
-        assert pause_and_dry_run() == ("held by ann: door open", True)
+        filled.say("pause", paused="paused by ann: door open", author="ann")
+        assert pause_and_dry_run() == ("paused by ann: door open", True)
         filled.say("recorder_started", dry_run=False)
-        assert pause_and_dry_run() == ("held by ann: door open", False), "a restart ends no hold"
-        filled.say("resume", held="", author="ann")
+        assert pause_and_dry_run() == ("paused by ann: door open", False), "a restart ends no hold"
+        filled.say("resume", paused="", author="ann")
         assert pause_and_dry_run() == (None, False)
 
 

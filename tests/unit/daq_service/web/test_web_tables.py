@@ -203,7 +203,7 @@ def test_nested_values_have_their_own_columns(api):
     assert assessments["mewma_limit"].tolist() == [LIMIT_CHART] * len(assessments)
     assert assessments["probability_wall"].dropna().tolist() == [0.9], "of the one set with a cause"
     assert assessments["probability_ok"].dropna().tolist() == [0.1]
-    assert json.loads(assessments["limits"][0])["chart"] == LIMIT_CHART
+    assert json.loads(assessments["limits"][0])["mewma"] == LIMIT_CHART
     baselines = pd.read_csv(io.BytesIO(exported(api, "baselines", "csv"))).set_index("name")
     assert baselines["state"].to_dict() == {
         "B-baseline-1": "approved",
