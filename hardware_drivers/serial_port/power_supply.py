@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError, InstrumentError
 from hardware_drivers.measurement import SupplyReading
-from hardware_drivers.serial_port.dialects import DIALECTS, Dialect, Flag, Level, Number
+from hardware_drivers.serial_port.dialects import Dialect, Flag, Level, Number, dialect_of_channel
 from hardware_drivers.serial_port.instrument import SerialInstrument
 from hardware_drivers.serial_port.parameters import ORDER_REPLIES, SupplyParameters
 
@@ -145,7 +145,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     @property
     def _dialect(self) -> Dialect:
-        return DIALECTS[self._parameters.dialect](self._parameters.channel)
+        return dialect_of_channel(self._parameters.dialect, self._parameters.channel)
 
     @property
     def _name_pattern(self) -> str:
