@@ -25,7 +25,7 @@ from support.daqmx_rig import (
 from support.waiting import happened
 
 from analysis.waves.features import extract_features
-from hardware_drivers.daqmx import open_daqmx
+from hardware_drivers.daqmx.instruments import open_daqmx
 from hardware_drivers.daqmx.pulse_record import record_pulse
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError, InstrumentError
 from hardware_drivers.measurement import ShotKey

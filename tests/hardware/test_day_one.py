@@ -13,11 +13,11 @@ from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ
 
 from analysis.waves.features import extract_features
 from daq_service.cli.doctor.spike import spike_check
-from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.daqmx.acquisition import commit_acquisition
 from hardware_drivers.daqmx.boards import find_boards, same_serial
 from hardware_drivers.daqmx.coil import commit_coil
 from hardware_drivers.daqmx.connection import Connection
+from hardware_drivers.daqmx.instruments import open_daqmx
 from hardware_drivers.daqmx.look import digital_name
 from hardware_drivers.daqmx.survey import survey_rig
 from hardware_drivers.errors import AcquisitionTimeoutError

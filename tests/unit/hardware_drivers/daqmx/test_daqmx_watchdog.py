@@ -4,9 +4,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, WatchdogWiring
 from hardware_drivers.daqmx.coil import Coil, _commit_watchdog
 from hardware_drivers.daqmx.look import board_findings
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring, WatchdogWiring
 from hardware_drivers.errors import AcquisitionTimeoutError
 
 
