@@ -266,7 +266,7 @@ class Chassis:
         if self._rung == 1:
             self.connection.clear_leftovers(ROLES)
         elif self._rung == 2:
-            self._boards = find_boards(self.connection, _serials(self.parameters))
+            self._boards = find_boards(self.connection, serials_of(self.parameters))
             self._reset_boards()
         else:
             self._connect()
@@ -292,7 +292,7 @@ class Chassis:
             self._connection.close()
         self._connection = Connection(self.parameters)
         self._connection.clear_leftovers(ROLES)
-        self._boards = find_boards(self._connection, _serials(self.parameters))
+        self._boards = find_boards(self._connection, serials_of(self.parameters))
         self.driver_version = self._connection.driver_version()
 
     @property
@@ -317,7 +317,7 @@ class Chassis:
                 continue
             with vendor_call(f"self-calibrating {board.label}"):
                 board.device.self_cal()
-        self._boards = find_boards(self.connection, _serials(self.parameters))
+        self._boards = find_boards(self.connection, serials_of(self.parameters))
         self.prove()
         for serial, board in self._boards.items():
             if serial not in done and board.calibrates_itself:
@@ -348,7 +348,7 @@ class Chassis:
                     self._lock.release()
 
 
-def _serials(parameters: DaqmxParameters) -> list[str]:
+def serials_of(parameters: DaqmxParameters) -> list[str]:
     """Return the serial numbers of the boards of every transducer."""
     wirings = parameters.transducers.values()
     return [wiring.board_serial for wiring in wirings] + [wiring.coil_serial for wiring in wirings]

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
 
-from hardware_drivers.daqmx.look import board_findings
 from hardware_drivers.daqmx.parameters import REACHED_BY, DaqmxParameters
 from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role
 
@@ -17,9 +16,9 @@ def _open(parameters: DaqmxParameters, opening: Opening) -> AbstractContextManag
 
 
 def _check(parameters: DaqmxParameters, opening: Opening) -> Iterator[Finding]:
-    from hardware_drivers.daqmx.survey import survey_rig
+    from hardware_drivers.daqmx.look import board_findings
 
-    yield from board_findings(parameters, survey_rig, shot_interval_s=opening.shot_interval_s)
+    return board_findings(parameters, shot_interval_s=opening.shot_interval_s)
 
 
 def _packages(parameters: DaqmxParameters) -> tuple[str, ...]:

@@ -4,11 +4,10 @@ import json
 import sys
 import time
 import tomllib
-from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PureWindowsPath
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import pytest
 from support.small_experiment import run, small_settings
@@ -32,8 +31,7 @@ from daq_service.settings.file import config_file
 from daq_service.settings.instruments import instruments_of
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.look import board_findings, digital_name
-from hardware_drivers.daqmx.survey import BoardFacts
-from hardware_drivers.kinds import Finding
+from hardware_drivers.daqmx.survey import Survey, trigger_text
 
 VALUES = tomllib.loads(config_file("laboratory.toml").read_text("utf-8").replace("PLACEHOLDER", "FFFFFFFF"))
 LABORATORY = Settings(**VALUES).rig
@@ -420,65 +418,55 @@ def test_a_folder_without_a_recorder_is_left_unchanged(tmp_path):
 # Boards, with what the driver would find ------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class SurveyResult:
-    """Survey with given results: `hardware_drivers.daqmx.survey.survey` has its own tests."""
+@pytest.fixture
+def checks_with_driver(monkeypatch):
+    """Return the checks of the laboratory's boards by name; the survey finds a driver and nothing else."""
 
-    findings: tuple[Finding, ...] = ()
-    driver_version: str = "24.8.0"
-    boards: tuple[BoardFacts, ...] = ()
-    noise_rms_v: dict[str, float] = field(default_factory=dict)
+    def checks(driver_version="24.8.0", shot_interval_s=4.0):
+        assert LABORATORY.daqmx is not None
+        survey = Survey(LABORATORY.daqmx, driver_version=driver_version)
+        monkeypatch.setattr("hardware_drivers.daqmx.look.survey_rig", lambda _: survey)
+        found = board_findings(LABORATORY.daqmx, shot_interval_s=shot_interval_s)
+        return by_name([check_of_finding(finding) for finding in found])
 
-
-def checks_by_name(found, *, shot_interval_s=4.0):
-    assert LABORATORY.daqmx is not None
-    seen = board_findings(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s)
-    return by_name([check_of_finding(finding) for finding in seen])
+    return checks
 
 
 @pytest.mark.parametrize(
     ("version", "state"), [("24.8.0", "ok"), ("20.1.0", "ok"), ("20.0.0", "fail"), ("9.5", "fail")]
 )
-def test_the_driver_s_version_is_compared_by_numbers(version, state):
-    found = checks_by_name(SurveyResult(driver_version=version))["driver: version"]
+def test_the_driver_s_version_is_compared_by_numbers(checks_with_driver, version, state):
+    found = checks_with_driver(version)["driver: version"]
     assert (found.state, found.found) == (state, f"NI-DAQmx {version} (at least 20.1)")
 
 
-def test_a_driver_that_was_not_reached_has_no_version():
-    assert "driver: version" not in checks_by_name(SurveyResult(driver_version=""))
+def test_a_driver_that_was_not_reached_has_no_version(checks_with_driver):
+    assert "driver: version" not in checks_with_driver("")
 
 
-def test_a_faulty_board_of_another_program_is_no_failure():
-    broken = {"check": "answers", "state": "fail", "detail": "it does not answer"}
-    checks = checks_by_name(
-        SurveyResult(
-            findings=(
-                Finding(subject="board 01C16021", **broken),
-                Finding(subject="board FFFFFFFF", **broken),
-            )
-        )
-    )
+def test_a_faulty_board_of_another_program_is_no_failure(monkeypatch):
+    nameless = SimpleNamespace(name="", product_type="")
+    listed = {"01C16021": nameless, "FFFFFFFF": nameless}
+    monkeypatch.setattr("hardware_drivers.daqmx.survey.installed", lambda _: listed)
+    assert LABORATORY.daqmx is not None
+    survey = Survey(LABORATORY.daqmx)
+    survey.list_boards(cast(Any, None), ours={"FFFFFFFF"})
+    checks = by_name([check_of_finding(finding) for finding in survey.findings])
     assert checks["board 01C16021: answers"].state == "warn"
     assert checks["board FFFFFFFF: answers"].state == "fail"
     assert "faults-daqmx.md" in checks["board FFFFFFFF: answers"].remedy, "the driver named none"
 
 
-def test_settings_accepted_by_a_board_are_reported_with_units():
-    finding = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
-    assert checks_by_name(SurveyResult(findings=(finding,)))["transducer B: trigger"].found == (
-        "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"
+def test_the_accepted_trigger_is_reported_with_units():
+    assert LABORATORY.daqmx is not None
+    assert trigger_text(LABORATORY.daqmx, LABORATORY.daqmx.transducers["B"]) == (
+        "0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"
     )
 
 
-def test_the_noise_is_in_the_values():
-    finding = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
-    found = checks_by_name(SurveyResult(findings=(finding,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
-    assert found.values == {"noise_rms_v": 5e-3, "trigger_level_v": 0.25}
-
-
 @pytest.mark.parametrize(("interval_s", "state"), [(4.0, "ok"), (0.4, "ok"), (0.39, "warn")])
-def test_a_coil_with_a_high_duty_cycle_causes_a_warning(interval_s, state):
-    found = checks_by_name(SurveyResult(), shot_interval_s=interval_s)["coils: duty cycle"]
+def test_a_coil_with_a_high_duty_cycle_causes_a_warning(checks_with_driver, interval_s, state):
+    found = checks_with_driver(shot_interval_s=interval_s)["coils: duty cycle"]
     assert (found.state, found.values["duty"]) == (state, pytest.approx(0.1 / interval_s, rel=1e-12))
 
 
