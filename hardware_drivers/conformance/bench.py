@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any
 
 import pytest
 
@@ -41,7 +40,7 @@ class Bench:
         Temperature in degrees Celsius and relative humidity (0..1) at a climate probe.
     """
 
-    parameters: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, object] = field(default_factory=dict)
     strike: Strike | None = None
     coil_levels: CoilLevels | None = None
     fault: Callable[[str], AbstractContextManager[object]] | None = None

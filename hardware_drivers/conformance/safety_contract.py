@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from typing import Any
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 
 import pytest
 
@@ -127,7 +126,7 @@ def _open_failing(open_kind: Open) -> Iterator[Opened]:
             stack.close()
 
 
-def _failing(bench: Bench, fault: str) -> Any:
+def _failing(bench: Bench, fault: str) -> AbstractContextManager[object]:
     assert bench.fault is not None, "a double that names faults gives Bench.fault"
     return bench.fault(fault)
 

@@ -13,7 +13,7 @@ import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,11 @@ from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.translation import vendor_call
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import Calibration, Waveform
+
+if TYPE_CHECKING:
+    from nidaqmx import Task
+    from nidaqmx.stream_readers import AnalogUnscaledReader
+    from nidaqmx.task.channels import AIChannel
 
 log = logging.getLogger(__name__)
 
@@ -51,8 +56,8 @@ class Acquisition:
 
     position: str
     board: Board
-    task: Any
-    reader: Any
+    task: Task
+    reader: AnalogUnscaledReader
     buffer: NDArray[np.int16 | np.int32]
     part_samples: int
     sample_rate_hz: float
@@ -153,8 +158,8 @@ def commit_acquisition(
 
 
 def _configure(
-    task: Any, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, record: Record
-) -> Any:
+    task: Task, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, record: Record
+) -> AIChannel:
     from nidaqmx.constants import AcquisitionType, Coupling, Slope, TerminalConfiguration
 
     physical = f"{board.name}/{wiring.input}"
@@ -189,7 +194,7 @@ def _samples(parameters: DaqmxParameters, record: Record) -> int:
 
 
 def _start_by_coil(
-    task: Any, parameters: DaqmxParameters, position: str, coil_board: Board, board: Board, record: Record
+    task: Task, parameters: DaqmxParameters, position: str, coil_board: Board, board: Board, record: Record
 ) -> None:
     """Configure the start by an edge of the coil's counter: with the pulse, or the holdoff after its end.
 
@@ -244,7 +249,7 @@ _CLOCK_HZ = {"PXI_Clk10": 10e6, "PXIe_Clk100": 100e6}
 
 
 def _committed(
-    task: Any, channel: Any, parameters: DaqmxParameters, position: str, board: Board, record: Record
+    task: Task, channel: AIChannel, parameters: DaqmxParameters, position: str, board: Board, record: Record
 ) -> Acquisition:
     """Read back the essential settings and reject silent changes."""
     from nidaqmx.stream_readers import AnalogUnscaledReader
@@ -295,7 +300,7 @@ def _committed(
     )
 
 
-def _calibration(channel: Any, wiring: TransducerWiring, board: Board) -> Calibration:
+def _calibration(channel: AIChannel, wiring: TransducerWiring, board: Board) -> Calibration:
     """Return the scaling of the board's codes; reject it if its ends are not those of the range."""
     coefficients = np.array(channel.ai_dev_scaling_coeff, dtype=np.float64)
     bits = float(channel.ai_resolution)

@@ -22,7 +22,6 @@ class ShotSource(Protocol):
     @property
     def positions(self) -> Mapping[str, str]:
         """Return the recorded positions and their method: ``solitary_wave`` or ``pulse_echo``."""
-        ...
 
     def find(self, key: ShotKey) -> Acquired | None:
         """Return the record of a shot (an `Echo` for pulse-echo), None if it was not recorded.
@@ -34,11 +33,9 @@ class ShotSource(Protocol):
         ConfigurationError
             The recording as a whole cannot be read.
         """
-        ...
 
     def tried(self, key: ShotKey) -> bool:
         """Return whether the recording has a shot, as a record or as missed."""
-        ...
 
 
 def acquired_of(record: Record) -> Acquired:

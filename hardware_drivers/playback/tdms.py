@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -169,7 +168,7 @@ def open_tdms(
     if by_name and source.is_file() and re.fullmatch(mapping.file_pattern, source.name) is None:
         mapping = replace(mapping, file_pattern=".*")  # one file alone is set 0
     places: dict[ShotKey, _RecordLocation] = {}
-    shared: dict[tuple[Any, ...], Conversion] = {}
+    shared: dict[tuple[object, ...], Conversion] = {}
     others: list[str] = []
     for path, name in _files(source, mapping):
         for key, place in _records_of_file(path, name, mapping, shared, others, by_name):
@@ -205,7 +204,7 @@ def _records_of_file(
     path: Path,
     name: str,
     mapping: TdmsMapping,
-    shared: dict[tuple[Any, ...], Conversion],
+    shared: dict[tuple[object, ...], Conversion],
     others: list[str],
     by_name: Sequence[str],
 ) -> Iterator[tuple[ShotKey, _RecordLocation]]:
@@ -249,7 +248,7 @@ def _first_location(
     name: str,
     position: str,
     mapping: TdmsMapping,
-    shared: dict[tuple[Any, ...], Conversion],
+    shared: dict[tuple[object, ...], Conversion],
 ) -> _RecordLocation:
     """Return the first record of a channel."""
     n_samples = samples_of_record(channel, mapping)
@@ -291,7 +290,7 @@ def _appended_records(
         )
 
 
-def _shared(conversion: Conversion, known: dict[tuple[Any, ...], Conversion]) -> Conversion:
+def _shared(conversion: Conversion, known: dict[tuple[object, ...], Conversion]) -> Conversion:
     """Return one object for all channels with equal conversion: a recording has thousands of them."""
     calibration = conversion.calibration
     polynomial = None if conversion.polynomial is None else conversion.polynomial.tobytes()

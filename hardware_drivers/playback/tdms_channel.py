@@ -51,7 +51,7 @@ class Channel:
     own_properties: Mapping[str, Any]
     group_properties: Mapping[str, Any]
     file_properties: Mapping[str, Any]
-    dtype: np.dtype[Any]
+    dtype: np.dtype[np.generic]
     n_samples: int
 
     @property
@@ -95,7 +95,7 @@ class Conversion:
     calibration: Calibration
     polynomial: NDArray[np.float64] | None = None
 
-    def counts(self, values: NDArray[Any], where: str) -> Counts:
+    def counts(self, values: NDArray[np.generic], where: str) -> Counts:
         """Convert the values of a record to counts, shape (n_samples,).
 
         Raises
@@ -110,7 +110,7 @@ class Conversion:
 
 
 def _quantised(
-    values: NDArray[Any], polynomial: NDArray[np.float64], calibration: Calibration, where: str
+    values: NDArray[np.generic], polynomial: NDArray[np.float64], calibration: Calibration, where: str
 ) -> NDArray[np.int32]:
     """Return the nearest code of each value; the end of the range is the highest code, so it is clipped."""
     volts = np.polynomial.polynomial.polyval(values.astype(np.float64), polynomial)
