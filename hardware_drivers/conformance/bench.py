@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 
-import pytest
-
 from hardware_drivers.measurement import ShotKey
 
 Keys = tuple[ShotKey, ...]
@@ -83,17 +81,3 @@ class MachineClock:
                 return False
             time.sleep(min(left_ns / 1e9, 0.1))
         return True
-
-
-class ShotContract:
-    """Fixtures that the rules of an instrument with shots need."""
-
-    @pytest.fixture
-    def keys(self) -> Keys:
-        """Return two shots of one position that the instrument knows; of a striker one each of up to two."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def unknown_key(self) -> ShotKey:
-        """Return a shot of a position that the instrument does not know."""
-        raise NotImplementedError

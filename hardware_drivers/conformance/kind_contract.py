@@ -28,32 +28,26 @@ Open = Callable[[], AbstractContextManager[Opened]]
 
 
 class KindContract:
-    """Rules for a kind: parameters reject unknown keys; it can be opened, closed and opened again."""
+    """Rules for a kind: parameters reject unknown keys; it can be opened, closed and opened again.
 
-    @pytest.fixture
-    def kind(self) -> Kind[object]:
-        """Return the kind under test."""
-        raise NotImplementedError
+    A class that inherits the rules provides these fixtures.
 
-    @pytest.fixture
-    def table(self) -> Mapping[str, object]:
-        """Return its parameters as a configuration gives them."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def module(self) -> str:
-        """Return the module that its entry points name."""
-        raise NotImplementedError
+    Fixtures
+    --------
+    kind : Kind[object]
+        The kind under test.
+    table : Mapping[str, object]
+        Its parameters as a configuration gives them.
+    module : str
+        The module that its entry points name.
+    opening : Opening
+        The opening of the instrument under test.
+    """
 
     @pytest.fixture
     def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
         """Return them validated."""
         return TypeAdapter(kind.parameters).validate_python(table)
-
-    @pytest.fixture
-    def opening(self) -> Opening:
-        """Return the opening of the instrument under test."""
-        raise NotImplementedError
 
     @pytest.fixture
     def open_kind(self, kind: Kind[object], parameters: object, opening: Opening) -> Open:

@@ -26,27 +26,20 @@ class SafetyContract:
     """Rules for failures: errors are solimon's own.
 
     Then nothing is armed, every coil is off, it opens again.
+
+    A class that inherits the rules provides these fixtures.
+
+    Fixtures
+    --------
+    bench : Bench
+        The bench that injects faults and records what the coils did.
+    opening : Opening
+        The opening of the instrument under test.
+    open_kind : Open
+        A function that opens the instrument.
+    fault : str
+        The name of the fault to inject.
     """
-
-    @pytest.fixture
-    def bench(self) -> Bench:
-        """Return the bench that injects faults and records what the coils did."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def opening(self) -> Opening:
-        """Return the opening of the instrument under test."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def open_kind(self) -> Open:
-        """Return a function that opens the instrument."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def fault(self) -> str:
-        """Return the name of the fault to inject."""
-        raise NotImplementedError
 
     def test_it_is_safe_after_an_interruption(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
         with open_kind() as opened:
