@@ -18,7 +18,7 @@ import logging
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from hardware_drivers.daqmx.acquisition import Acquisition, Record, commit_acquisition
@@ -146,17 +146,16 @@ class Chassis:
         connection = self.connection
         coil_board = self._boards[same_serial(wiring.coil_serial)]
         board = self._boards[same_serial(wiring.board_serial)]
-        coil = commit_coil(connection, self.parameters, position, coil_board) if wiring.strikes else None
-        acquisition = None
-        try:
+        with ExitStack() as undo:
+            coil = acquisition = None
+            if wiring.strikes:
+                coil = commit_coil(connection, self.parameters, position, coil_board)
+                undo.callback(coil.close)
             if wiring.digitizes:
                 acquisition = commit_acquisition(
                     connection, self.parameters, position, board, coil_board, record=record
                 )
-        except BaseException:
-            if coil is not None:
-                coil.close()
-            raise
+            undo.pop_all()
         return Turn(position=position, record=record, acquisition=acquisition, coil=coil)
 
     def prove(self) -> None:

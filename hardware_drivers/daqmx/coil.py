@@ -10,6 +10,7 @@ from __future__ import annotations
 import logging
 import math
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -126,22 +127,16 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
         )
     doing = f"setting up the coil of {position!r} on {board.label}"
     wired = parameters.watchdog_of(board.serial)
-    # First: some boards let no watchdog be reserved next to other tasks (-201477).
-    watchdog = None if wired is None else _commit_watchdog(connection, wired, board)
-    try:
-        task = connection.task("striker")
-    except BaseException:
+    with ExitStack() as undo:
+        # First: some boards let no watchdog be reserved next to other tasks (-201477).
+        watchdog = None if wired is None else _commit_watchdog(connection, wired, board)
         if watchdog is not None:
-            clear_watchdog(watchdog, doing)
-        raise
-    try:
+            undo.callback(clear_watchdog, watchdog, doing)
+        task = connection.task("striker")
+        undo.callback(clear_task, task, doing)
         with vendor_call(doing):
             _configure(task, parameters, position, board)
-    except BaseException:
-        clear_task(task, doing)
-        if watchdog is not None:
-            clear_watchdog(watchdog, doing)
-        raise
+        undo.pop_all()
     return Coil(
         position=position,
         board=board,

@@ -128,7 +128,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         deadline_s = self._deadline_s(ORDER_REPLIES * self._parameters.line.reply_timeout_s)
         try:
             # A line that looks open may be dead: then one fresh attempt.
-            if self._line.connected:
+            if self._line.in_step:
                 try:
                     self._switch_off(deadline_s)
                     return
@@ -186,7 +186,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
     def _switch_off(self, deadline_s: float) -> None:
         self._line.send(self._dialect.switch_off)
         if self._flag(self._dialect.output, deadline_s):
-            raise self._line.refused("was told to switch its output off and says it is on")
+            raise self._line.lost("was told to switch its output off and says it is on")
 
     def _set(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
         """Set the limit first, so that a voltage never meets the limit of an earlier command."""
@@ -283,5 +283,5 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         while query and (entry := self._line.query_error(query, deadline_s, bare=bare)) is not None:
             entries.append(entry)
             if len(entries) == ERROR_QUEUE_LENGTH:
-                raise self._line.refused(f"has an error queue that does not end: {entry}")
+                raise self._line.lost(f"has an error queue that does not end: {entry}")
         return entries
