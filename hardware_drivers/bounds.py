@@ -70,6 +70,7 @@ def check_values(parameters: type, values: Mapping[str, Any]) -> None:
 
 
 def _check(checked: Iterable[tuple[str, list[_Bound], Any]]) -> None:
+    """Raise ValueError for the first value that is not finite or breaks a bound; None breaks no bound."""
     for name, bounds, value in checked:
         if value is None:
             continue
@@ -105,6 +106,7 @@ def bounded(parameters: type[Parameters]) -> type[Parameters]:
     own_checks: Callable[[Parameters], None] | None = getattr(parameters, "__post_init__", None)
 
     def check(parameters_object: Parameters) -> None:
+        """Check the bounds, then what only the class knows."""
         check_bounds(parameters_object)
         if own_checks is not None:
             own_checks(parameters_object)

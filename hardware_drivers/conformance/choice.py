@@ -114,10 +114,12 @@ def find_double(where: str) -> Double:
 
 
 def _parameters(table: Mapping[str, object]) -> dict[str, object]:
+    """Return the parameters of an instrument: its table without the key `kind`."""
     return {key: value for key, value in table.items() if key != "kind"}
 
 
 def _read_table(file: Path) -> Mapping[str, Any]:
+    """Read a TOML file; a file that cannot be read is a ConfigurationError."""
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:

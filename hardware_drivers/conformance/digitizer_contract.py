@@ -21,6 +21,7 @@ OVERRUN_S = 20.0
 
 
 def _record(digitizer: Digitizer, strike: Strike, key: ShotKey, timeout_s: float) -> Acquired:
+    """Arm, strike and read one shot."""
     digitizer.arm(key)
     strike(key)
     return digitizer.read(timeout_s)

@@ -130,4 +130,5 @@ class _FailureAtTheRigError(Exception):
 
 
 def _plain(distribution: str) -> str:
+    """Return the name of a distribution in the one form that is compared."""
     return distribution.lower().replace("_", "-")

@@ -54,6 +54,7 @@ class SafetyContract:
         self, bench: Bench, open_kind: Open, fault: str
     ) -> None:
         def open_it() -> None:
+            """Open the instrument and leave it at once."""
             with open_kind():
                 """Opened all the same: a fault that only calls will tell."""
 
@@ -120,6 +121,7 @@ def _open_failing(open_kind: Open) -> Iterator[Opened]:
 
 
 def _failing(bench: Bench, fault: str) -> AbstractContextManager[object]:
+    """Return the context in which the instrument has a fault."""
     assert bench.fault is not None, "a double that names faults gives Bench.fault"
     return bench.fault(fault)
 
@@ -138,6 +140,7 @@ def _error_of(name: str, call: Call) -> InstrumentError | None:
 
 
 def _key(role: Role, opening: Opening) -> ShotKey:
+    """Return the key of a shot at the first position that the instrument serves in a role."""
     return ShotKey(position=opening.serves[role][0], set_index=0, shot_index=0)
 
 
@@ -171,5 +174,6 @@ def _calls(
 
 
 def _coils_on(bench: Bench) -> list[str]:
+    """Return the positions whose coil is on after all switchings so far."""
     levels: Mapping[str, bool] = dict(bench.coil_levels()) if bench.coil_levels is not None else {}
     return [position for position, on in levels.items() if on]

@@ -70,6 +70,7 @@ class OnTheBench:
         capture = pytestconfig.pluginmanager.getplugin("capturemanager")
 
         def ask(request: str) -> None:
+            """Print a request to a person past the capture of pytest."""
             if request:
                 with capture.global_and_fixture_disabled():
                     print(f"\n  {request}", flush=True)
@@ -237,6 +238,7 @@ class TestSupply(OnTheBench, PowerSupplyContract):
 
 
 def _require_double(order: Order | None) -> Order:
+    """Return a value of the double; skip the rule where there is no double."""
     if order is None:
         pytest.skip("no rule switches a supply that is no double's: Bench.caps and Bench.order")
     return order

@@ -160,6 +160,7 @@ def commit_acquisition(
 def _configure(
     task: Task, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, record: Record
 ) -> AIChannel:
+    """Configure channel, sample clock, reference clock and trigger of a task; return its channel."""
     from nidaqmx.constants import AcquisitionType, Coupling, Slope, TerminalConfiguration
 
     physical = f"{board.name}/{wiring.input}"
@@ -190,6 +191,7 @@ def _configure(
 
 
 def _samples(parameters: DaqmxParameters, record: Record) -> int:
+    """Return the number of samples of a record."""
     return parameters.whole_strike_samples if record == "pulse" else parameters.record_samples
 
 
@@ -224,6 +226,7 @@ def _start_by_coil(
 
 
 def _check_delay(parameters: DaqmxParameters, board: Board, delay_s: float) -> None:
+    """Reject a start delay of the board that is not the requested holdoff, or cannot work."""
     asked_s = parameters.holdoff_s or 0.0
     try:
         parameters.check_holdoff(delay_s)
@@ -327,6 +330,7 @@ def _calibration(channel: AIChannel, wiring: TransducerWiring, board: Board) -> 
 def _settings(
     parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, level_v: float, *, triggered: bool
 ) -> dict[str, float | str]:
+    """Return the settings that are stored with each record, SI units in the names."""
     settings: dict[str, float | str] = {
         "board_serial": board.serial,
         "product": board.product,

@@ -60,7 +60,7 @@ def serial_text(serial: int) -> str:
     return f"{serial:08X}"
 
 
-def same_serial(text: str) -> str:
+def normalized_serial(text: str) -> str:
     """Return a configured serial number in the one form that is compared."""
     return serial_text(int(text, 16))
 
@@ -93,7 +93,7 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
     """
     known = installed(connection)
     found = {}
-    for serial in sorted({same_serial(text) for text in serials}):
+    for serial in sorted({normalized_serial(text) for text in serials}):
         if serial not in known:
             raise ConnectionLostError(
                 f"no board with serial number {serial}; there are: {_names(known)}; check its power, seating "
@@ -135,6 +135,7 @@ def describe(serial: str, device: Device) -> Board:
 
 
 def _names(boards: Mapping[str, Device]) -> str:
+    """Return serial numbers and names of boards for a message."""
     return ", ".join(f"{serial} ({device.name})" for serial, device in boards.items()) or "none"
 
 

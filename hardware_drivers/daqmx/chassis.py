@@ -22,7 +22,7 @@ from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from hardware_drivers.daqmx.acquisition import Acquisition, Record, commit_acquisition
-from hardware_drivers.daqmx.boards import Board, check_board, find_boards, same_serial
+from hardware_drivers.daqmx.boards import Board, check_board, find_boards, normalized_serial
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
 from hardware_drivers.daqmx.connection import Connection, client_name, package_versions
@@ -142,10 +142,11 @@ class Chassis:
             self._cleared_by_name(ROLES)
 
     def _commit(self, position: str, record: Record) -> Turn:
+        """Commit the tasks of a transducer, the coil first; an error leaves none of them."""
         wiring = self.parameters.transducers[position]
         connection = self.connection
-        coil_board = self._boards[same_serial(wiring.coil_serial)]
-        board = self._boards[same_serial(wiring.board_serial)]
+        coil_board = self._boards[normalized_serial(wiring.coil_serial)]
+        board = self._boards[normalized_serial(wiring.board_serial)]
         with ExitStack() as undo:
             coil = acquisition = None
             if wiring.strikes:
@@ -162,11 +163,11 @@ class Chassis:
         """Commit every transducer once, so that the hardware rejects settings before a test starts."""
         for position, wiring in self.parameters.transducers.items():
             if wiring.digitizes:
-                check_board(self._boards[same_serial(wiring.board_serial)], wiring, self.parameters)
+                check_board(self._boards[normalized_serial(wiring.board_serial)], wiring, self.parameters)
             self.turn(position)
         self.end_turn()
 
-    def refuse_made_up(self) -> None:
+    def require_real_boards(self) -> None:
         """Raise for devices that NI's driver simulates: their records contain no wave.
 
         Raises
@@ -222,12 +223,13 @@ class Chassis:
         except BaseException as error:
             self.end_turn()
             if isinstance(error, ConnectionLostError):
-                self._lose(error)
+                self._count_loss(error)
             elif isinstance(error, BusyError):
-                self._meet_owner(error)
+                self._handle_busy_board(error)
             raise
 
-    def _lose(self, error: ConnectionLostError) -> None:
+    def _count_loss(self, error: ConnectionLostError) -> None:
+        """Count a lost connection and select the next recovery step; raise after the last one failed too."""
         self._lost += 1
         tried = self._rung
         self._rung = min(tried + 1, len(LADDER))
@@ -241,7 +243,7 @@ class Chassis:
                 "shot tries the last one again"
             ) from error
 
-    def _meet_owner(self, error: BusyError) -> None:
+    def _handle_busy_board(self, error: BusyError) -> None:
         """Distinguish another owner, who is never disturbed, from a leftover task of this program."""
         # The driver's text names the task that was refused too, and that one is always ours.
         owner = owner_in(str(error.__cause__))
@@ -249,7 +251,7 @@ class Chassis:
             self._shared = True
             return
         lost = ConnectionLostError(f"{error}; that is a task of our own, which the driver did not clear")
-        self._lose(lost)
+        self._count_loss(lost)
         raise lost from error
 
     def recovered(self) -> None:
@@ -272,6 +274,7 @@ class Chassis:
         self._broken = False
 
     def _reset_boards(self) -> None:
+        """Reset the boards, unless another program uses one of them."""
         if self._shared:
             log.warning("not resetting: somebody else uses a board of ours too")
             return
@@ -309,7 +312,7 @@ class Chassis:
         self._recover()
         done = {}
         wirings = self.parameters.transducers.values()
-        for serial in {same_serial(wiring.board_serial) for wiring in wirings if wiring.digitizes}:
+        for serial in {normalized_serial(wiring.board_serial) for wiring in wirings if wiring.digitizes}:
             board = self._boards[serial]
             if not board.calibrates_itself:
                 done[serial] = "this board cannot calibrate itself"

@@ -147,6 +147,7 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
 
 
 def _configure(task: Task, parameters: DaqmxParameters, position: str, board: Board) -> None:
+    """Configure one pulse that idles low, verify terminal, level and length, then commit."""
     from nidaqmx.constants import Level, TaskMode
 
     wiring = parameters.transducers[position]
@@ -177,6 +178,7 @@ def _configure(task: Task, parameters: DaqmxParameters, position: str, board: Bo
 
 
 def _commit_watchdog(connection: Connection, wired: WatchdogWiring, board: Board) -> WatchdogTask:
+    """Create and commit a board's watchdog, which pulls the wired lines low when it expires."""
     from nidaqmx.constants import Level, TaskMode
     from nidaqmx.types import DOExpirationState
 

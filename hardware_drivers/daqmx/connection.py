@@ -121,6 +121,7 @@ class Connection:
         return f"solimon-{self._client}-" in owner
 
     def _name(self, role: str, mark: int | str) -> str:
+        """Return the name of a task of this client."""
         return f"solimon-{self._client}-{role}-{mark}"
 
     def clear_leftovers(self, roles: Sequence[str]) -> bool:
@@ -157,6 +158,7 @@ class Connection:
     def _create(
         self, kind: type[T], doing: str, *arguments: object, session: str = "", attach: bool = False
     ) -> T:
+        """Create one of NI's task objects; an error half-way clears what was created."""
         # NI's constructors create first and ask for the task's name then; if that fails, the object is
         # lost and its task stays. So the object is kept apart from its construction.
         task = kind.__new__(kind)
@@ -201,6 +203,7 @@ def clear_watchdog(watchdog: WatchdogTask, doing: str) -> bool:
 
 
 def _attempt(step: Callable[[], None], doing: str) -> bool:
+    """Run one step of a clean-up; return False and log the error if it fails."""
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
         warnings.simplefilter("ignore")
@@ -214,6 +217,7 @@ def _attempt(step: Callable[[], None], doing: str) -> bool:
 
 
 def _name_is_taken(error: ConnectionLostError) -> bool:
+    """Check whether an error states that a task of this name exists already."""
     return getattr(error.__cause__, "error_code", 0) == NAME_TAKEN
 
 
@@ -223,6 +227,7 @@ def package_versions() -> dict[str, str]:
 
 
 def _open_channel(parameters: DaqmxParameters) -> Channel:
+    """Open the channel to the gRPC server; a missing extra is a ConfigurationError."""
     try:
         import nidaqmx._grpc_interpreter  # noqa: F401 # the parts of the extra that NI's client needs
 

@@ -143,7 +143,7 @@ def open_daqmx(parameters: DaqmxParameters) -> Iterator[Opened]:
     """
     chassis = Chassis(parameters)
     try:
-        chassis.refuse_made_up()
+        chassis.require_real_boards()
         boards = DaqmxBoards(chassis)
         yield Opened(
             digitizer=boards,

@@ -10,18 +10,21 @@ from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role
 
 
 def _open(parameters: DaqmxParameters, opening: Opening) -> AbstractContextManager[Opened]:
+    """Open the boards."""
     from hardware_drivers.daqmx.instruments import open_daqmx
 
     return open_daqmx(parameters)
 
 
 def _check(parameters: DaqmxParameters, opening: Opening) -> Iterator[Finding]:
+    """Return findings on driver, boards and wiring; nothing strikes."""
     from hardware_drivers.daqmx.look import board_findings
 
     return board_findings(parameters, shot_interval_s=opening.shot_interval_s)
 
 
 def _packages(parameters: DaqmxParameters) -> tuple[str, ...]:
+    """Return the distributions that the transport needs."""
     return ("nidaqmx", "grpcio") if parameters.transport == "grpc" else ("nidaqmx",)
 
 

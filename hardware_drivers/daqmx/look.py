@@ -73,6 +73,7 @@ def _server(address: str) -> Finding:
 
 
 def _driver(text: str) -> Finding:
+    """Return the finding on the driver's version."""
     oldest = ".".join(map(str, OLDEST_DRIVER))
     fits = tuple(int(part) for part in re.findall(r"\d+", text)) >= OLDEST_DRIVER
     return Finding(

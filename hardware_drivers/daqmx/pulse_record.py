@@ -49,7 +49,7 @@ class FreeInput:
 
         The first sample is taken as the coil goes on, which is `DaqmxParameters.pulse_s` before it goes off.
         """
-        self._chassis.refuse_made_up()
+        self._chassis.require_real_boards()
         with self._chassis.attempt():
             acquisition = self._chassis.acquisition(self.position, "pulse")
             acquisition.start()

@@ -107,6 +107,7 @@ class Channel:
 
 
 def _credentials(tls: GrpcTls) -> grpc.ChannelCredentials:
+    """Return the credentials of an encrypted channel, from PEM files."""
     root, key, certificate = map(_read, (tls.root_certificate, tls.private_key, tls.certificate))
     return grpc.ssl_channel_credentials(root, key, certificate)
 

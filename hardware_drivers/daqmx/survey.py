@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from hardware_drivers.daqmx.acquisition import Acquisition, commit_acquisition
-from hardware_drivers.daqmx.boards import Board, check_board, describe, installed, same_serial
+from hardware_drivers.daqmx.boards import Board, check_board, describe, installed, normalized_serial
 from hardware_drivers.daqmx.chassis import ROLES, serials_of
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
@@ -114,6 +114,7 @@ class Survey:
         reached: list[Connection] = []
 
         def connect() -> str:
+            """Take the client name, connect, and clear leftover tasks; return the connection in words."""
             if parameters.transport == "grpc":
                 stack.callback(ClientLock(parameters.grpc_address, client_name(parameters)).release)
             connection = Connection(parameters)
@@ -145,7 +146,7 @@ class Survey:
 
     def check_boards(self, connection: Connection) -> None:
         """Survey all boards, the configured ones in detail."""
-        ours = set(map(same_serial, serials_of(self.parameters)))
+        ours = set(map(normalized_serial, serials_of(self.parameters)))
         listed = self.list_boards(connection, ours)
         for serial in sorted(ours - set(listed)):
             self._add(
@@ -168,6 +169,7 @@ class Survey:
                 self._add(f"board {facts.serial}", "calibrated", *_rate_calibration(facts))
 
     def _describe(self, serial: str, device: Device, *, ours: bool) -> str:
+        """Read the facts of a board; return them in words."""
         board = describe(serial, device)
         with vendor_call(f"reading what {board.label} can do"):
             ends_v = [float(value) for value in device.ai_voltage_rngs]
@@ -190,23 +192,27 @@ class Survey:
     def check_transducer(self, connection: Connection, position: str) -> None:
         """Survey input, trigger, coil and noise of one transducer."""
         parameters, wiring = self.parameters, self.parameters.transducers[position]
-        board = self.facts_by_serial.get(same_serial(wiring.board_serial))
-        coil_board = self.facts_by_serial.get(same_serial(wiring.coil_serial))
+        board = self.facts_by_serial.get(normalized_serial(wiring.board_serial))
+        coil_board = self.facts_by_serial.get(normalized_serial(wiring.coil_serial))
         if board is None or coil_board is None:
             return  # its board has a failed finding
         subject = f"transducer {position}"
 
         def commit(record: Literal["shot", "noise"]) -> Acquisition:
+            """Commit the transducer's acquisition."""
             return commit_acquisition(connection, parameters, position, board, coil_board, record=record)
 
         def check_limits() -> str:
+            """Check that the board can take the record."""
             check_board(board, wiring, parameters)
             return f"as asked: {_input_text(parameters, wiring)}"
 
         def check_trigger() -> str:
+            """Commit the triggered acquisition and release it."""
             return f"{_released(commit('shot'))}: {trigger_text(parameters, wiring)}"
 
         def check_counter() -> str:
+            """Commit the coil's counter and release it."""
             # Committed, the output is connected and low; the counter is not started.
             coil = commit_coil(connection, parameters, position, coil_board)
             return f"{_released(coil)}: {_counter_text(parameters, wiring)}"
@@ -222,6 +228,7 @@ class Survey:
             self._rate_noise(position, board)
 
     def _check_terminal(self, subject: str, wiring: TransducerWiring, board: BoardFacts) -> None:
+        """Check that the coil's terminal exists on its board."""
         terminal = f"/{board.name}/{wiring.output_terminal}"
         known = terminal in board.terminals
         self._add(
@@ -233,6 +240,7 @@ class Survey:
         )
 
     def _measure_noise(self, position: str, acquisition: Acquisition) -> str:
+        """Record once without a trigger and store the noise; return the record in words."""
         try:
             acquisition.start()
             waveform = acquisition.read(READ_TIMEOUT_S)
@@ -276,6 +284,7 @@ class Survey:
         remedy: str = "",
         values: Mapping[str, Value] | None = None,
     ) -> None:
+        """Add a finding; only a finding that is not ok has a remedy."""
         self._add_finding(
             Finding(
                 subject=subject,
@@ -288,6 +297,7 @@ class Survey:
         )
 
     def _add_finding(self, finding: Finding) -> None:
+        """Add a finding, with the facts of its board for programs."""
         facts = self.facts_by_serial.get(finding.subject.removeprefix("board "))
         if facts is not None:
             finding = replace(finding, values={name: getattr(facts, name) for name in BOARD_VALUES})

@@ -137,6 +137,7 @@ def metadata(read: Callable[[], T], unknown: T, subject: str) -> T:
 
 
 def _from_status(error: Exception, doing: str) -> InstrumentError:
+    """Return the error of a DAQmx status, with the driver's text, the owner if busy, and the remedy."""
     status = int(getattr(error, "error_code", 0))
     kind = CLASS_OF_STATUS.get(status, UnknownStatusError)
     name = getattr(getattr(error, "error_type", None), "name", "UNKNOWN")
@@ -153,6 +154,7 @@ def _grpc_reason(error: BaseException | None) -> str:
 
 
 def _from_rpc(code: str, text: str, doing: str) -> InstrumentError:
+    """Return the error of a gRPC code, with its reason and remedy."""
     kind = ConfigurationError if code in RPC_CONFIGURATION else ConnectionLostError
     remedy = (
         "check the address, version and rights of the gRPC device server"
@@ -163,6 +165,7 @@ def _from_rpc(code: str, text: str, doing: str) -> InstrumentError:
 
 
 def _is_bare_rpc_error(error: Exception) -> bool:
+    """Check for an error of gRPC that NI's package did not translate."""
     grpc = sys.modules.get("grpc")
     return grpc is not None and isinstance(error, grpc.RpcError)
 

@@ -163,7 +163,7 @@ def configure(
     _configure_trigger(niscope, session, wiring)
     session.commit()
     setup = _read_back(niscope, session, channel, board)
-    _refuse_coerced(parameters, wiring, setup, channel, board)
+    _reject_coerced(parameters, wiring, setup, channel, board)
     if session.trigger_source != trigger_terminal(wiring):
         raise ConnectionLostError(
             f"the board at {board.resource!r} waits for a trigger at {session.trigger_source!r}, not at "
@@ -179,6 +179,7 @@ def trigger_terminal(wiring: ProbeWiring) -> str:
 
 
 def _configure_trigger(niscope: ModuleType, session: Session, wiring: ProbeWiring) -> None:
+    """Configure the trigger by the pulser's sync, delayed to the firing pulse."""
     slope = getattr(niscope.TriggerSlope, "POSITIVE" if wiring.trigger_slope == "rising" else "NEGATIVE")
     terminal = trigger_terminal(wiring)
     if wiring.trigger_source.startswith("pfi"):
@@ -194,6 +195,7 @@ def _configure_trigger(niscope: ModuleType, session: Session, wiring: ProbeWirin
 
 
 def _read_back(niscope: ModuleType, session: Session, channel: Session, board: Board) -> Setup:
+    """Read the settings that the board committed, and its last self-calibration."""
     last = metadata(
         niscope,
         # A board that never calibrated itself says 0-0-0, which is no date.
@@ -219,9 +221,10 @@ def _read_back(niscope: ModuleType, session: Session, channel: Session, board: B
     )
 
 
-def _refuse_coerced(
+def _reject_coerced(
     parameters: NiscopeParameters, wiring: ProbeWiring, setup: Setup, channel: Session, board: Board
 ) -> None:
+    """Reject a setting that the board changed, or a resolution that no ADC has."""
     pairs: Mapping[str, tuple[float, float]] = {
         "sample_rate_hz": (parameters.sample_rate_hz, setup.sample_rate_hz),
         "record_samples": (parameters.record_samples, setup.record_samples),

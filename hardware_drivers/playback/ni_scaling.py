@@ -56,6 +56,7 @@ def raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
 
 
 def _number_of_scales(properties: Mapping[str, Any]) -> int:
+    """Return the number of scales, from its property or the highest numbered scale."""
     if "NI_Number_Of_Scales" in properties:
         return int(properties["NI_Number_Of_Scales"])
     return max(
@@ -77,6 +78,7 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
         return identity
 
     def input_of(name: str) -> Polynomial:
+        """Return the polynomial of the input of this scale."""
         return _resolve(int(properties.get(f"{prefix}{name}_Input_Source", RAW)), properties, limit=source)
 
     if kind == "Linear":
@@ -112,6 +114,7 @@ def _composed(outer: Polynomial, inner: Polynomial) -> Polynomial:
 
 
 def _sum(one: Polynomial, other: Polynomial) -> Polynomial:
+    """Return the sum of two polynomials."""
     result = np.zeros(max(one.size, other.size))
     result[: one.size] += one
     result[: other.size] += other
@@ -119,6 +122,7 @@ def _sum(one: Polynomial, other: Polynomial) -> Polynomial:
 
 
 def _number(properties: Mapping[str, Any], name: str) -> float:
+    """Return a property as a number; a missing or other one is a ScalingError."""
     try:
         return float(properties[name])
     except KeyError as error:

@@ -68,6 +68,7 @@ class ShotsBySet:
 
         @lru_cache(maxsize=SETS_KEPT)
         def records_of_set(set_key: SetKey) -> Mapping[ShotKey, Record]:
+            """Read the records of a set, by key."""
             return {record.key: record for record in read(set_key)}
 
         self.records_of_set = records_of_set

@@ -217,6 +217,7 @@ def _records_of_file(
     unmatched: list[tuple[str, str]] = []
 
     def wanted(group: str, channel: str) -> bool:
+        """Check whether the names of group and channel match; collect the shots that they name."""
         from_group = re.fullmatch(mapping.group_pattern, group)
         from_channel = re.fullmatch(mapping.channel_pattern, channel)
         if from_group is None or from_channel is None:
@@ -306,11 +307,12 @@ def _shared(conversion: Conversion, known: dict[tuple[object, ...], Conversion])
 def _settings(
     channel: Channel, name: str, mapping: TdmsMapping, conversion: Conversion
 ) -> Mapping[str, float | str]:
+    """Return the settings that are stored with each shot of a channel."""
     settings: dict[str, float | str] = {"tdms_channel": name}
     properties = channel.properties
     for property_name, setting in mapping.settings_properties.items():
         if property_name not in properties:
-            raise channel.refuse(
+            raise channel.error(
                 f"the property {property_name!r} is missing", "take it out of settings_properties"
             )
         value = properties[property_name]
@@ -322,4 +324,5 @@ def _settings(
 
 
 def _method(position: str, mapping: TdmsMapping) -> str:
+    """Return the measuring method of a position."""
     return PULSE_ECHO if position in mapping.pulse_echo_positions else SOLITARY_WAVE

@@ -94,6 +94,7 @@ def _opened(path: Path) -> Iterator[TdmsFile]:
 
 
 def _describe(path: Path, file: TdmsFile, group: TdmsGroup, channel: TdmsChannel) -> Channel:
+    """Return the metadata of a channel and the type of its raw values."""
     return Channel(
         path=path,
         group=group.name,

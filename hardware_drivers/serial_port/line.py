@@ -148,6 +148,7 @@ class SerialLine:
         return True
 
     def _reach(self, deadline_s: float) -> str:
+        """Return the identity behind the open port, else behind the port opened again."""
         if self._port is not None:
             try:
                 return self._identify(deadline_s)
@@ -243,6 +244,7 @@ class SerialLine:
         return reply
 
     def _query(self, question: str, deadline_s: float) -> bytes:
+        """Send a query and return its response as bytes; no response, or a second one, is an error."""
         now_s = self.monotonic_s()
         if now_s >= deadline_s:
             raise ConnectionLostError(
@@ -360,6 +362,7 @@ class SerialLine:
         return None if int(reply.partition(",")[0]) == 0 else reply
 
     def _write(self, command: str) -> None:
+        """Discard late responses, then send a command."""
         if self._port is None:
             raise ConnectionLostError(f"{self._where()} is closed")
         with self._translated(f"send {command}"):
@@ -398,6 +401,7 @@ class SerialLine:
 
     @contextlib.contextmanager
     def _translated(self, doing: str) -> Iterator[None]:
+        """Translate errors of the port; a port that is gone is closed."""
         try:
             yield
         except serial.SerialTimeoutException as error:
@@ -412,6 +416,7 @@ class SerialLine:
         return ConnectionLostError(f"{self._where()} {message}")
 
     def _where(self) -> str:
+        """Return name and port of the instrument, for messages."""
         return f"{self.name.rstrip() or 'the instrument'} at {self.parameters.port}"
 
 
@@ -435,4 +440,5 @@ def _is_name(reply: str) -> bool:
 
 
 def _shown(raw: bytes) -> str:
+    """Return the beginning of a response for a message."""
     return repr(raw[:SHOWN_BYTES]) + ("..." if len(raw) > SHOWN_BYTES else "")

@@ -103,6 +103,7 @@ class TcpPort:
         self._socket.close()
 
     def _received(self, size: int) -> bytes:
+        """Receive up to so many bytes; a closed connection is an error."""
         if not (data := self._socket.recv(size)):
             raise ConnectionResetError(errno.ECONNRESET, "the instrument hung up")
         return data
