@@ -90,7 +90,7 @@ class BoardConnection:
             with vendor_calls(self._niscope, f"recording {position!r} on {board.resource!r}") as noted:
                 fetched = fetch(self._session, setup, wiring, timeout_s)
             self._failures = 0
-            return board, setup, fetched, noted.text()
+            return board, setup, fetched, "; ".join(noted)
 
     def self_calibrate(self) -> Board:
         """Run the board's self-calibration; it is configured again before the next record."""

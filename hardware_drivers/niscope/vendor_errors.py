@@ -55,17 +55,6 @@ _REMEDY: Mapping[type[InstrumentError], str] = {
 }
 
 
-class DriverWarnings:
-    """Warnings of the driver during vendor calls: an overload, an unlocked clock."""
-
-    def __init__(self) -> None:
-        self.messages: list[str] = []
-
-    def text(self) -> str:
-        """Return all warnings on one line, each once."""
-        return "; ".join(dict.fromkeys(" ".join(message.split()) for message in self.messages))
-
-
 def class_of(code: int, description: str) -> type[InstrumentError]:
     """Return the class of a driver's error."""
     codes = (code, *map(int, _WRAPPED.findall(description)))
@@ -95,8 +84,8 @@ def translated(niscope: ModuleType, error: Exception, doing: str) -> InstrumentE
 
 
 @contextmanager
-def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
-    """Translate errors of the calls inside and collect the driver's warnings.
+def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[list[str]]:
+    """Translate errors of the calls inside; yield the list that receives the driver's warnings, each once.
 
     The warnings filter of the process is changed meanwhile: the driver is used by one thread.
 
@@ -105,7 +94,7 @@ def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
     InstrumentError
         One of the four classes, from the vendor's exception.
     """
-    driver_warnings = DriverWarnings()
+    driver_warnings: list[str] = []
     with warnings.catch_warnings(record=True) as seen:
         warnings.simplefilter("always", niscope.errors.DriverWarning)
         try:
@@ -116,8 +105,12 @@ def vendor_calls(niscope: ModuleType, doing: str) -> Iterator[DriverWarnings]:
             raise translated(niscope, error, doing) from error
         finally:
             for warning in seen:
-                if issubclass(warning.category, niscope.errors.DriverWarning):
-                    driver_warnings.messages.append(str(warning.message))
+                message = " ".join(str(warning.message).split())
+                if (
+                    issubclass(warning.category, niscope.errors.DriverWarning)
+                    and message not in driver_warnings
+                ):
+                    driver_warnings.append(message)
     for warning in seen:
         if not issubclass(warning.category, niscope.errors.DriverWarning):
             warnings.warn_explicit(warning.message, warning.category, warning.filename, warning.lineno)

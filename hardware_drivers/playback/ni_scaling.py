@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.polynomial import polyadd, polysub
 from numpy.typing import NDArray
 
 Polynomial = NDArray[np.float64]
@@ -96,7 +97,8 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
     if kind in ("Add", "Subtract"):
         left, right = input_of(f"{kind}_Left_Operand"), input_of(f"{kind}_Right_Operand")
         # NI subtracts the left operand from the right one.
-        return _sum(left, right) if kind == "Add" else _sum(right, -left)
+        total = polyadd(left, right) if kind == "Add" else polysub(right, left)
+        return np.asarray(total, dtype=np.float64)
     raise ScalingError(f"scale {source} is of type {kind!r}, which is no polynomial")
 
 
@@ -111,14 +113,6 @@ def _composed(outer: Polynomial, inner: Polynomial) -> Polynomial:
         result = np.convolve(result, inner)
         result[0] += coefficient
     return result[: (outer.size - 1) * (inner.size - 1) + 1]
-
-
-def _sum(one: Polynomial, other: Polynomial) -> Polynomial:
-    """Return the sum of two polynomials."""
-    result = np.zeros(max(one.size, other.size))
-    result[: one.size] += one
-    result[: other.size] += other
-    return result
 
 
 def _number(properties: Mapping[str, Any], name: str) -> float:

@@ -62,10 +62,15 @@ class TdmsShots:
     """Opened recording; `close` it, or use it as a context manager.
 
     Made by `open_tdms`. One file is kept open at a time.
+
+    Attributes
+    ----------
+    places
+        Location of each recorded shot.
     """
 
     def __init__(self, places: Mapping[ShotKey, _RecordLocation], mapping: TdmsMapping) -> None:
-        self._places = places
+        self.places = places
         self._mapping = mapping
         self._positions = {key.position: _method(key.position, mapping) for key in places}
         self._moments = sorted(place.utc_ns for place in places.values() if place.utc_ns is not None)
@@ -76,18 +81,6 @@ class TdmsShots:
         """Return the recorded positions and their method."""
         return self._positions
 
-    @property
-    def keys(self) -> list[ShotKey]:
-        """Return every recorded shot, sorted by set, position, shot and attempt."""
-        return sorted(
-            self._places, key=lambda key: (key.set_index, key.position, key.shot_index, key.attempt)
-        )
-
-    def utc_ns(self, key: ShotKey) -> int | None:
-        """Return the time of a shot; None if its file has none, or there is no such shot."""
-        place = self._places.get(key)
-        return None if place is None else place.utc_ns
-
     def next_moment(self, after_utc_ns: int) -> int | None:
         """Return the first recorded time after a time, None after the last one."""
         index = bisect_right(self._moments, after_utc_ns)
@@ -95,7 +88,7 @@ class TdmsShots:
 
     def tried(self, key: ShotKey) -> bool:
         """Return whether the shot was recorded."""
-        return key in self._places
+        return key in self.places
 
     def find(self, key: ShotKey) -> Acquired | None:
         """Return the record of a shot, None if it was not recorded.
@@ -105,7 +98,7 @@ class TdmsShots:
         ConfigurationError
             The file cannot be read any more, or a value is beyond the range.
         """
-        place = self._places.get(key)
+        place = self.places.get(key)
         if place is None:
             return None
         values = self._reader.read(

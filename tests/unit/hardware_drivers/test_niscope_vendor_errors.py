@@ -96,7 +96,7 @@ def test_warnings_of_the_driver_are_kept_and_others_passed_on():
                 warnings.warn(niscope.errors.DriverWarning(0x3FFA4008, "overload"), stacklevel=1)
             warnings.warn("somebody else's", UserWarning, stacklevel=1)
     assert [str(other.message) for other in others] == ["somebody else's"]
-    assert noted.text() == "Warning 1073365000 occurred. overload"
+    assert noted == ["Warning 1073365000 occurred. overload"]
 
 
 def test_a_missing_package_names_the_extra(monkeypatch):
