@@ -6,7 +6,7 @@ the twin's physics in wall time. Unmodified packages reach it through `transport
     nidaqmx.Task -> libnidaqmx.so.1 (built here, `transports.library`) -> wire -> brain
     niscope.Session -> libniscope.so.1 -> wire -> brain (`niscope`)
     nidaqmx.Task(grpc_options=...) -> `transports.grpc_front` -> brain
-    `transports.control.DoublesControl` -> `transports.control_server`: faults, unplugging, announcements, the record
+    `transports.control.DoublesControl` -> `transports.control_server`: faults, unplugging, the record
 
 Reading order: `vendor_api` (entry points, attributes, statuses, the wire), `transports` (the C library,
 the server, gRPC, a test's control), `device_model`; then `daqmx`, `niscope` and `serial`; their components
