@@ -36,7 +36,9 @@ def wheel(tmp_path_factory):
 def test_the_wheel_holds_configuration_dashboard_templates_migrations_and_licence(wheel):
     archive = zipfile.ZipFile(wheel)
     names = archive.namelist()
+    needed_by_doubles = ("nidaqmx.h", "niScope.h", "attributes.csv", "statuses.toml")
     for wanted in (
+        *(f"simulator/doubles/vendor_api/{name}" for name in needed_by_doubles),
         "daq_service/cli/groups/commands.toml",
         "daq_service/web/answers/vocabulary.toml",
         "daq_service/web/auth/roles.toml",
