@@ -1,10 +1,11 @@
 """The supply seen from the line: the interlock after a restart, and the supply at the end of a test."""
 
 import pytest
+from support.invented_rows import condition
 from support.serial_rig import TestClock
 
 from daq_service.alarms.operator_actions import acknowledge
-from daq_service.alarms.states import Condition, Moment, update
+from daq_service.alarms.states import Moment, update
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.settings.rig import RigSettings
 from hardware_drivers.errors import ConnectionLostError
@@ -42,16 +43,8 @@ class EmptyCatalogue:
 
 def trip_alarm(*, acknowledged=False):
     """Return the stored alarm of a tripped interlock."""
-    condition = Condition(
-        position=None,
-        kind="interlock_tripped",
-        alarm_class="diagnostic",
-        priority="critical",
-        present=True,
-        message="hole at B",
-        evidence={},
-    )
-    row = update(None, condition, MOMENT).row
+    tripped = condition(position=None, kind="interlock_tripped", message="hole at B")
+    row = update(None, tripped, MOMENT).row
     return acknowledge(row, "Ada", "", MOMENT).row if acknowledged else row
 
 

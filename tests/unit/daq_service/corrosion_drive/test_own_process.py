@@ -138,7 +138,6 @@ def test_an_unwatched_supply_is_switched_off_once_and_released(bench):
     assert not bench.supply.on
     assert bench.process.leaves
     kept = read_stored_state(bench.folder)
-    assert kept is not None
     assert (kept.output, kept.state.command) == ("off", None)
     assert kept.state.tripped is not None
     assert kept.state.tripped.startswith("no recorder was heard for 600 s")
@@ -175,13 +174,13 @@ def test_a_silent_supply_is_switched_off_before_the_process_ends(bench):
     bench.supply.error = LOST
     bench.run(10 * UNWATCHED_S)
     assert not bench.process.leaves
-    assert read_supply_status(bench.folder).state == "unknown"  # type: ignore[union-attr]
-    assert read_supply_status(bench.folder).switch_off_pending  # type: ignore[union-attr]
+    assert read_supply_status(bench.folder).state == "unknown"
+    assert read_supply_status(bench.folder).switch_off_pending
     bench.supply.error = None
     bench.run(60.0)
     assert not bench.supply.on
     assert bench.process.leaves
-    assert not read_supply_status(bench.folder).switch_off_pending  # type: ignore[union-attr]
+    assert not read_supply_status(bench.folder).switch_off_pending
 
 
 def test_a_supply_without_power_after_the_switch_off_ends_the_process(bench):
@@ -275,7 +274,6 @@ def test_without_a_successor_that_reads_it_switches_off_itself(bench, successor)
     assert not bench.supply.on
     assert old.leaves
     kept = read_stored_state(bench.folder)
-    assert kept is not None
     assert successor != "none" or (kept.state.command, kept.output) == (None, "off")
 
 
@@ -315,7 +313,6 @@ def test_the_process_ends_only_after_the_output_reads_off(bench):
     bench.supply.current_a = 0.95
     bench.run(0.5 * UNWATCHED_S)
     kept = read_stored_state(bench.folder)
-    assert kept is not None
     assert (bench.process.leaves, kept.output) == (True, "off")
 
 
@@ -368,7 +365,6 @@ def test_the_process_switches_the_supply_off_when_it_ends(bench):
     bench.process.end()
     assert not bench.supply.on
     kept = read_stored_state(bench.folder)
-    assert kept is not None
     assert kept.state.tripped == "the process of the drive was stopped, and no other one watches"
 
 
@@ -492,6 +488,5 @@ def test_a_reader_gets_the_age_of_the_supply_state(tmp_path, changes, age_s):
     kept = stored_state_now(DriveState(), output="on", age_s=2.0, good_for_s=30.0)
     write_stored_state(tmp_path, replace(kept, **changes(kept)))
     now = read_supply_status(tmp_path)
-    assert now is not None
     assert now.age_s == pytest.approx(age_s, abs=20.0)  # a busy machine is late
     assert (now.state, now.quality, now.last, now.process) == ("unknown", "no_communication", "on", False)
