@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 from sqlalchemy import event
 from support.life_of_a_test import lived
-from support.table_rows import table_rows
+from support.table_rows import execute, table_rows
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
@@ -31,11 +31,6 @@ def line(life, tmp_path):
     """Return a copy of its folder."""
     shutil.copytree(life.folder, folder := tmp_path / "copy")
     return replace(life, folder=folder)
-
-
-def change(folder, sql):
-    with closing(sqlite3.connect(folder / FILE_NAME)) as database, database:
-        return database.execute(sql).rowcount
 
 
 def row_key(row):
@@ -94,7 +89,7 @@ def test_a_start_accepts_a_history_whose_newest_row_has_changed_since(line):
 
 def test_an_event_whose_row_is_lost_is_reported_and_rebuilt_from_the_history(line):
     before = table_rows(line.folder)
-    assert change(line.folder, "DELETE FROM assessments WHERE position = 'B' AND NOT in_baseline") > 0
+    execute(line.folder, "DELETE FROM assessments WHERE position = 'B' AND NOT in_baseline")
     with (
         open_catalogue(line.folder) as catalogue,
         pytest.raises(CatalogueDamagedError, match="lacks its row"),

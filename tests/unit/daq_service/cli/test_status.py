@@ -6,10 +6,10 @@ from dataclasses import replace
 import pytest
 from support.command_line import solimon_here
 from support.filled_folder import LIMIT_CHART, LIMIT_F, N_BASELINE, FilledFolder, frozen_baseline
+from support.invented_rows import set_row
 from support.kept_folder import lay_out
 
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import SetRow
 from daq_service.cli.status.command import PIPE_COLUMNS
 from daq_service.cli.status.facts import GAPS_A_POSITION, describe_status
 from daq_service.cli.status.table import picture
@@ -34,21 +34,9 @@ def filled(tmp_path):
 def store_missed_set(filled, index, cause, *positions, state="missed"):
     """Store the rows of a missed or incomplete set."""
     due = filled.due[index]
-    commit = SetCommit()
-    for name in positions or filled.settings.positions:
-        commit.sets.append(
-            SetRow(
-                set_index=index,
-                position=name,
-                method=filled.settings.positions[name].method,
-                due_utc_ns=due.due_utc_ns,
-                due_h=due.due_h,
-                state=state,
-                cause=cause,
-                n_planned=1,
-            )
-        )
-    filled.catalogue.commit_set(commit)
+    stored = {"due_utc_ns": due.due_utc_ns, "due_h": due.due_h, "state": state, "cause": cause}
+    names = positions or filled.settings.positions
+    filled.catalogue.commit_set(SetCommit(sets=[set_row(index, name, **stored) for name in names]))
 
 
 def status_lines(facts):
