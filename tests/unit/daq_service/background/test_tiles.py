@@ -8,7 +8,6 @@ from functools import partial
 import numpy as np
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
-from support.life_of_a_test import lived
 from support.small_experiment import AtOnce
 from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
@@ -159,11 +158,6 @@ def test_an_unscheduled_set_gets_no_tiles(line):
     record = other_set(make_set(), SET_INDEX, 1)
     assert add_record_to_tiles(line.folder, "ab/1", {}, record) == ""
     assert not (line.folder / TILES_FOLDER).exists()
-
-
-@pytest.fixture(scope="module")
-def life(tmp_path_factory):
-    return lived(tmp_path_factory.mktemp("life"))
 
 
 @pytest.fixture

@@ -1,13 +1,11 @@
 """A row of a set is stored once: its event holds no copy, and every reader gets the row with the event."""
 
-import shutil
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
 
 import pytest
 from sqlalchemy import event
-from support.life_of_a_test import lived
 from support.table_rows import execute, table_rows
 
 from daq_service.catalogue import open_catalogue
@@ -19,18 +17,6 @@ from daq_service.catalogue.reported_rows import ROW_OF_EVENT, reported
 from daq_service.catalogue.rows import AlarmRow, AssessmentRow, EventRow, FeatureRow
 from daq_service.catalogue.salvage import read_sound_rows
 from daq_service.recording.reassessment.rebuild import rebuild
-
-
-@pytest.fixture(scope="module")
-def life(tmp_path_factory):
-    return lived(tmp_path_factory.mktemp("life"))
-
-
-@pytest.fixture
-def line(life, tmp_path):
-    """Return a copy of its folder."""
-    shutil.copytree(life.folder, folder := tmp_path / "copy")
-    return replace(life, folder=folder)
 
 
 def row_key(row):

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 from support.crashed_recorders import LongerRecords, features_by_key
-from support.life_of_a_test import lived, run
+from support.life_of_a_test import run
 from support.memory_line import Line, healthy, memory_settings, silent
 from support.refused_recorders import Stop, Time, record
 from support.stored_files import read_set, set_files
@@ -31,19 +31,6 @@ from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.reassessment import restore_rows
 from daq_service.recording.reassessment.rebuild import BUILDING, rebuild
 from hardware_drivers.measurement import SetKey, ShotKey
-
-
-@pytest.fixture(scope="module")
-def life(tmp_path_factory):
-    return lived(tmp_path_factory.mktemp("life"))
-
-
-@pytest.fixture
-def line(life, tmp_path):
-    """Return a copy of its folder."""
-    folder = tmp_path / "copy"
-    shutil.copytree(life.folder, folder)
-    return replace(life, folder=folder)
 
 
 def rebuild_catalogue(line, **options):

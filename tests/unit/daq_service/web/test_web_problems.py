@@ -281,22 +281,10 @@ def test_acknowledgement_becomes_a_row(api, filled, as_command):
         ({"kind": "stop", "author": ""}, "/stop/author"),
         ({"kind": "acknowledge_alarm"}, "/acknowledge_alarm/arguments"),
         ({"kind": "pause", "arguments": {"note": "why", "position": "B"}}, "/pause/arguments/position"),
-        ({"kind": "pause"}, "/pause/arguments"),
-        ({"kind": "pause", "arguments": {}}, "/pause/arguments/note"),
         ({"kind": "pause", "arguments": {"note": "  "}}, "/pause/arguments/note"),
         ({"kind": "resume", "arguments": {"note": "x" * 2001}}, "/resume/arguments/note"),
-        ({"kind": "disable"}, "/disable/arguments"),
         ({"kind": "disable", "arguments": {"note": "hot"}}, "/disable/arguments/position"),
-        ({"kind": "enable", "arguments": {"position": 1}}, "/enable/arguments/position"),
         ({"kind": "supply_on"}, "/supply_on/author"),
-        (
-            {"kind": "supply_on", "author": "Ada", "arguments": {"voltage_v": 61}},
-            "/supply_on/arguments/voltage_v",
-        ),
-        (
-            {"kind": "acknowledge_alarm", "arguments": {"alarm_id": "one"}},
-            "/acknowledge_alarm/arguments/alarm_id",
-        ),
     ],
 )
 def test_an_invalid_command_is_rejected_with_a_pointer(api, filled, body, pointer):
