@@ -170,7 +170,6 @@ def test_an_ended_recorder_accepts_only_commands_that_change_rows(kind, state, w
 )
 def test_a_rejection_has_the_expected_message(kind, state, reason, detail, hint):
     refusal = order(kind, **ARGUMENTS.get(kind, {})).forbidden(facts(**state))
-    assert refusal is not None
     assert (refusal.reason, refusal.detail, refusal.hint) == (reason, detail, hint)
     assert refusal.missing == (reason == "there is no current alarm 7")
 
