@@ -25,7 +25,6 @@ from daq_service.settings.tree import Settings
 from daq_service.settings.web import WebSettings
 from daq_service.web.auth.middleware import LONGEST_REASON, MOST_WRONG, refuse_unprotected_service
 from daq_service.web.auth.tokens import KnownTokens, create_token, read_tokens, revoke_token
-from daq_service.web.bounded_http import LARGEST_HEADERS_BYTES
 
 TLS = Path(__file__).parents[3] / "fixtures" / "tls"
 ENCRYPTED = {"tls_certificate": str(TLS / "certificate.pem"), "tls_key": str(TLS / "key.pem")}
@@ -226,12 +225,6 @@ def test_revocation_ends_open_streams(filled, tokens, monkeypatch):
             filled.add_set(1, stored=False)
             assert events.read().endswith(b"event: bye\ndata: {}\n\n")
             until(lambda: pictures.protocol.close_rcvd, "the waveforms ending, too")
-
-
-def test_an_oversized_cookie_is_refused(filled):
-    with served(filled.settings, filled.folder) as service, service.client() as api:
-        answer = api.get(DUE, headers={"Cookie": "solimon=" + "c" * LARGEST_HEADERS_BYTES})
-    assert answer.status_code == 431
 
 
 def test_an_admin_makes_and_revokes_tokens_and_sees_who_did(filled, tokens):

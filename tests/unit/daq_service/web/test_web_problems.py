@@ -9,7 +9,7 @@ from daq_service.catalogue.connection import FILE_NAME as CATALOGUE_FILE
 from daq_service.settings.tree import Settings
 from daq_service.web.answers import cursors
 from daq_service.web.answers.models import CommandRow
-from daq_service.web.answers.problem import TYPE_PREFIX, Problem, ProblemDetails, json_pointer
+from daq_service.web.answers.problem import TYPE_PREFIX, ProblemDetails, json_pointer
 from daq_service.web.app import create_app
 from daq_service.web.guards import LARGEST_BODY_BYTES
 
@@ -125,13 +125,6 @@ def test_cursor_belongs_to_its_listing_and_filters(api):
 )
 def test_invented_cursor_is_refused(api, cursor):
     problem(api.get(f"/api/v1/sets?cursor={cursor}"), 422, "invalid-cursor")
-
-
-def test_cursor_carries_its_row():
-    assert cursors.decode("sets", cursors.encode("sets", 41)) == 41
-    assert cursors.decode("sets", None) is None
-    with pytest.raises(Problem):
-        cursors.decode("sets", cursors.encode("alarms", 41))
 
 
 def test_pointer_escapes():
