@@ -429,7 +429,7 @@ def test_the_page_is_self_contained_and_complete(recorded, tmp_path):
 
 def test_the_shape_of_the_json(recorded):
     code, printed = certify("--data-dir", recorded, "--json")
-    report = json.loads(printed)
+    report = json.loads(printed, parse_constant=pytest.fail)
     assert (code, report["solimon_acceptance_report"]) == (6, "1")
     assert list(report) == [
         *("solimon_acceptance_report", "made_utc", "made_by", "outcome", "criteria", "identity"),
