@@ -21,14 +21,19 @@ class FiledArchive(FolderArchive):
         return replace(stored, n_bytes=(self.folder / stored.file).stat().st_size)
 
 
+def append_set(archive: FolderArchive, record: SetRecord) -> None:
+    """Append the records of a set to the journal; the set stays open."""
+    archive.begin_set(
+        record.set_key, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
+    )
+    for item in record.records:
+        archive.append(item, item.stamp.utc_ns)
+
+
 @contextmanager
 def journal_of(folder: Path, record: SetRecord) -> Iterator[FolderArchive]:
     """Open an archive whose journal has this set, which has no file yet."""
     with closing(FolderArchive(folder)) as archive:
-        archive.begin_set(
-            record.set_key, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
-        )
-        for item in record.records:
-            archive.append(item, item.stamp.utc_ns)
+        append_set(archive, record)
         archive.store_set(record)
         yield archive

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
+from support.damaging import flip
 from support.small_experiment import AtOnce
 from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
@@ -123,9 +124,7 @@ def test_no_tile_is_made_while_set_files_are_pending(line):
 def test_a_corrupt_tile_is_made_again_in_the_next_round(line):
     line.file()
     (path,) = (line.folder / TILES_FOLDER / "B" / "trigger").glob("0001-*.tile")
-    content = bytearray(path.read_bytes())
-    content[-9] ^= 1
-    path.write_bytes(content)
+    flip(path, -9)
     newest = list(line.records)[-1]
     assert line.tiles().row(1, newest) is None
     for _ in range(2):

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from click.testing import CliRunner
+from support.damaging import flip
 from support.filled_folder import FilledFolder
 from support.invented_rows import event_row, set_row
 from support.kept_folder import lay_out, state_of
@@ -460,9 +461,7 @@ def test_a_test_that_keeps_every_limit_passes_with_exit_code_0(recorded):
 def test_corruption_found_by_verify_fails_the_report(tmp_path):
     folder = lay_out(tmp_path / "data")
     victim = sorted((folder / "sets").glob("*.h5"))[1]
-    content = bytearray(victim.read_bytes())
-    content[len(content) // 2] ^= 0x10
-    victim.write_bytes(content)
+    flip(victim, victim.stat().st_size // 2, 0x10)
     code, printed = certify("--data-dir", folder, "--verify", "--json")
     report = json.loads(printed)
     assert (code, report["outcome"]) == (6, "fail")

@@ -15,6 +15,7 @@ from typing import get_args
 import pytest
 from support.archived_sets import make_set
 from support.command_line import solimon_here
+from support.damaging import flip
 from support.filed_archive import FiledArchive, journal_of
 from support.kept_folder import SETS, lay_out, state_of
 from support.served_web import served
@@ -60,12 +61,6 @@ def solimon(*arguments):
 
 def kinds(folder):
     return sorted({(item.kind, item.file, item.shot_id) for item in verify_folder(folder).damage}, key=str)
-
-
-def flip(path, place):
-    content = bytearray(path.read_bytes())
-    content[place] ^= 1
-    path.write_bytes(content)
 
 
 def hit_a_record(folder, index):

@@ -2,6 +2,7 @@
 
 import pytest
 from support.invented_rows import condition
+from support.scripted_supply import supply_parameters
 from support.serial_rig import TestClock
 
 from daq_service.alarms.operator_actions import acknowledge
@@ -11,7 +12,6 @@ from daq_service.settings.rig import RigSettings
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import SupplyReading
-from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 MOMENT = Moment(utc_ns=0, due_h=1.0, set_index=None)
 
@@ -52,9 +52,7 @@ def start_watch(*alarms, off_at_end=False):
     """Return a watch started with these alarms, its supply and the stored rows."""
     clock = TestClock()
     supply, stored = Supply(clock), []
-    settings = RigSettings(
-        supply=SupplyParameters(line=SerialLineParameters(port="COM4"), identity="ANY", off_at_end=off_at_end)
-    )
+    settings = RigSettings(supply=supply_parameters(off_at_end=off_at_end))
     rig = Rig(kind="simulated", clock=clock, striker=None, digitizer=None, supply=supply)
     known = {(row.position, row.kind): row for row in alarms}
 

@@ -1,7 +1,7 @@
 """The corrosion supply control on a scripted supply and a manual clock."""
 
 import pytest
-from support.scripted_supply import ScriptedSupply
+from support.scripted_supply import ScriptedSupply, supply_parameters
 from support.serial_rig import TestClock
 
 from daq_service.catalogue.rows import EnvironmentRow
@@ -10,14 +10,11 @@ from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import SupplyLogger, no_supply, summary
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ClimateReading
-from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
+from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters
 
 INTERVAL_S = 10.0
 LINE = SerialLineParameters(port="COM4")
-PARAMETERS = SupplyParameters(
-    line=LINE,
-    identity="ANY",
-    log_interval_s=INTERVAL_S,
+PARAMETERS = supply_parameters(
     voltage_v=10.0,
     current_limit_a=1.0,
     interlock_current_a=0.9,

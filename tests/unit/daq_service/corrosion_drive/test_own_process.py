@@ -7,7 +7,7 @@ from threading import Event
 from typing import Any
 
 import pytest
-from support.scripted_supply import ScriptedSupply
+from support.scripted_supply import ScriptedSupply, supply_parameters
 from support.serial_rig import TestClock
 
 from daq_service.clock import boot_name
@@ -22,12 +22,9 @@ from daq_service.corrosion_drive.supply_state import (
 from daq_service.errors import RigError
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
-from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 UNWATCHED_S = 600.0
-PARAMETERS = SupplyParameters(
-    line=SerialLineParameters(port="COM4"), identity="ANY", log_interval_s=10.0, unwatched_s=UNWATCHED_S
-)
+PARAMETERS = supply_parameters(unwatched_s=UNWATCHED_S)
 LOST = ConnectionLostError("the supply at COM4 is gone")
 ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "current_limit_a": None}
 

@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from support.machine import clock_in_seconds
-from support.scripted_supply import ScriptedSupply
+from support.scripted_supply import ScriptedSupply, supply_parameters
 from support.serial_rig import TestClock
 
 from daq_service.clock import MachineClock
@@ -25,10 +25,9 @@ from daq_service.corrosion_drive.supply_state import (
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.nanoseconds import NS_PER_S
-from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 KEY = b"k" * 32
-PARAMETERS = SupplyParameters(line=SerialLineParameters(port="COM4"), identity="ANY", log_interval_s=10.0)
+PARAMETERS = supply_parameters()
 PATIENCE = 2000
 ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "current_limit_a": None}
 
