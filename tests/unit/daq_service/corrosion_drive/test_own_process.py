@@ -327,8 +327,11 @@ def test_a_full_disk_does_not_affect_the_supply_process(bench, monkeypatch):
     def full(*_):
         raise OSError("no space left on device")
 
+    bench.process.store_state(at_once=True)
     monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_stored_state", full)
     bench.ask()
+    bench.run(50.0)
+    assert bench.ask()["written_age_s"] == pytest.approx(50.0, abs=0.1)  # the clock's steps of 5 s
     bench.run(UNWATCHED_S + 60.0)
     assert not bench.supply.on
 
@@ -345,16 +348,6 @@ def test_a_disk_that_hangs_delays_neither_interlock_nor_unwatched_limit(tmp_path
     bench.run(UNWATCHED_S + 10.0)
     assert not bench.supply.on
     assert (len(jobs) > 1, read_stored_state(tmp_path)) == (True, None)
-
-
-def test_the_age_of_the_written_state_is_reported(bench, monkeypatch):
-    def full(*_):
-        raise OSError("no space left on device")
-
-    bench.process.store_state(at_once=True)
-    monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_stored_state", full)
-    bench.run(50.0)
-    assert bench.ask()["written_age_s"] == pytest.approx(50.0, abs=0.1)  # the clock's steps of 5 s
 
 
 def test_the_process_switches_the_supply_off_when_it_ends(bench):
