@@ -10,7 +10,8 @@ from types import SimpleNamespace
 from typing import Any, cast
 
 import pytest
-from support.small_experiment import run, small_settings
+from support.kept_folder import lay_out
+from support.small_experiment import small_settings
 
 from daq_service.cli.doctor.check import Check, check_of_finding, exit_code
 from daq_service.cli.doctor.command import run_doctor
@@ -26,10 +27,10 @@ from daq_service.cli.forecast import (
     stored_bytes,
 )
 from daq_service.errors import BusyError, UsageError
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, settings_of_folder
 from daq_service.settings.file import config_file
 from daq_service.settings.instruments import instruments_of
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import Settings, StorageSettings
 from hardware_drivers.daqmx.look import board_findings, digital_name
 from hardware_drivers.daqmx.survey import Survey, trigger_text
 
@@ -287,8 +288,8 @@ def test_a_new_folder_passes_and_is_not_created(tmp_path):
 
 
 def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path):
-    settings = small_settings(schedule={"end_h": 1.0}, storage=AMPLE)
-    assert run(settings, tmp_path)
+    settings, _ = settings_of_folder(None, lay_out(tmp_path))
+    settings = settings.model_copy(update={"storage": StorageSettings(**AMPLE)})
     checks = by_name(storage_checks(settings, tmp_path))
     assert {item.state for item in checks.values()} == {"ok"}
     assert checks["disk: space"].values["stored_bytes"] == sum(
@@ -306,8 +307,7 @@ def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path):
 
 
 def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path):
-    settings = small_settings(schedule={"end_h": 1.0})
-    assert run(settings, tmp_path)
+    settings, _ = settings_of_folder(None, lay_out(tmp_path))
     for name in ("catalogue.sqlite", "experiment.json", "history.jsonl"):
         (tmp_path / name).unlink()
     own = by_name(storage_checks(settings, tmp_path))
@@ -320,14 +320,21 @@ def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("free", "state"), [(10 * 10**9, "ok"), (600 * 10**6, "warn"), (300 * 10**6, "fail")]
+    ("free_gb", "total_gb", "state"),
+    [
+        (10.0, 10, "ok"),
+        (0.6, 10, "warn"),
+        (0.3, 10, "fail"),
+        # A full volume is reported even if the test would fit.
+        (210.0, 1000, "ok"),
+        (190.0, 1000, "warn"),
+        (90.0, 1000, "warn"),
+        (49.0, 1000, "fail"),
+    ],
 )
-def test_the_disk_is_compared_with_the_plan(tmp_path, monkeypatch, free, state):
-    class Usage:
-        total = 10_000_000_000
-
-    Usage.free = free  # type: ignore[attr-defined]
-    monkeypatch.setattr("daq_service.processes.disk_policy.shutil.disk_usage", lambda place: Usage)
+def test_the_disk_is_compared_with_the_plan(tmp_path, monkeypatch, free_gb, total_gb, state):
+    usage = SimpleNamespace(free=round(free_gb * 1e9), total=total_gb * 10**9)
+    monkeypatch.setattr("daq_service.processes.disk_policy.shutil.disk_usage", lambda place: usage)
     found = by_name(storage_checks(Settings(), tmp_path))["disk: space"]
     assert found.state == state
     assert found.values["needed_bytes"] == stored_bytes(Settings(), 425)
@@ -344,13 +351,6 @@ def test_confirmation_sets_are_forecast_as_an_upper_bound():
     assert most_confirmation_bytes(Settings(alarms={"confirmation_sets_a_day": 0}), 350.0) == 0
 
 
-@pytest.mark.parametrize(("free", "state"), [(210, "ok"), (190, "warn"), (90, "warn"), (49, "fail")])
-def test_a_full_volume_is_reported_even_if_the_test_would_fit(tmp_path, monkeypatch, free, state):
-    usage = SimpleNamespace(free=free * 10**9, total=10**12)
-    monkeypatch.setattr("daq_service.processes.disk_policy.shutil.disk_usage", lambda place: usage)
-    assert by_name(storage_checks(Settings(), tmp_path))["disk: space"].state == state
-
-
 # Owner ----------------------------------------------------------------------------------------------
 
 
@@ -363,38 +363,27 @@ def recorder_error(folder):
         return str(error)
 
 
-def test_no_recorder_starts_while_the_doctor_strikes(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("does", "strike", "refusal"),
+    [("strike_transducer", "B", "another recorder owns"), ("rig_checks", None, "")],
+    ids=["strikes", "looks"],
+)
+def test_no_recorder_starts_while_the_doctor_strikes(tmp_path, capsys, monkeypatch, does, strike, refusal):
+    """While it only looks, a restarted recorder finds its folder unlocked: else its test would end."""
     folder = tmp_path / "data"
     prepare_data_folder(folder)
     assert recorder_error(folder) == "", "a recorder was here"
     seen = []
 
-    def striking(settings, position):
+    def doing(*arguments, **driven):
         seen.append(recorder_error(folder))
-        return Trial(position=position, checks=())
+        return Trial(position="B", checks=()) if strike else []
 
-    monkeypatch.setattr("daq_service.cli.doctor.command.strike_transducer", striking)
-    run_doctor(config=coarse(tmp_path), data_dir=folder, strike="B", as_json=True)
+    monkeypatch.setattr(f"daq_service.cli.doctor.command.{does}", doing)
+    run_doctor(config=coarse(tmp_path), data_dir=folder, strike=strike, as_json=True)
     capsys.readouterr()
-    assert "another recorder owns" in seen[0]
+    assert refusal in seen[0] if refusal else seen == [""]
     assert recorder_error(folder) == ""
-
-
-def test_a_restarted_recorder_finds_its_folder_unlocked_during_the_doctor(tmp_path, capsys, monkeypatch):
-    """With a locked folder it would end with a final exit code, and its supervisor would end the test."""
-    folder = tmp_path / "data"
-    prepare_data_folder(folder)
-    assert recorder_error(folder) == "", "a recorder was here"
-    seen = []
-
-    def looking(*arguments, **driven):
-        seen.append(recorder_error(folder))
-        return []
-
-    monkeypatch.setattr("daq_service.cli.doctor.command.rig_checks", looking)
-    run_doctor(config=coarse(tmp_path), data_dir=folder, strike=None, as_json=True)
-    capsys.readouterr()
-    assert seen == [""]
 
 
 def test_an_unreadable_lock_counts_as_a_running_recorder(tmp_path, monkeypatch):
