@@ -153,7 +153,7 @@ def alarms_of_other_designs(
         if begins <= index <= assessed_rows[-1].set_index:
             sets[index - begins] = vector
     history, p = sets[:n], len(FEATURE_NAMES)
-    budget = run_length(settings)
+    budget = run_length(settings.schedule, settings.baseline.hours, settings.false_alarms_per_sensor_year())
     found, designs = directions_of(history), design_chart(history, budget)
     charts = {
         "chart, memory as found": chart_with_phi(history, found.matrix, found.guarded, designs.limit),

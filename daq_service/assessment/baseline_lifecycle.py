@@ -61,7 +61,7 @@ def baseline_range(position: str, settings: Settings, present: BaselineRow | Non
 
 def first_baseline(position: str, settings: Settings, epoch_utc_ns: int) -> BaselineRow:
     """Return the first baseline of a position while it collects: it has no row until it is frozen."""
-    row = _collecting(position, settings, baseline_range(position, settings, None))
+    row = _collecting(position, settings.baseline.approval, baseline_range(position, settings, None))
     return replace(row, created_utc_ns=epoch_utc_ns)
 
 
@@ -112,7 +112,7 @@ def renew(
             f"the plan has {n_remaining} sets left, another baseline takes {n_sets} (baseline.hours), as the "
             "first one: begin a new test, or let this one end later (schedule.end_h)"
         )
-    current_row = present or _collecting(position, settings, current)
+    current_row = present or _collecting(position, settings.baseline.approval, current)
     retired = replace(
         current_row, state="retired", retired_utc_ns=utc_ns, retired_by=author, retired_reason=reason
     )
@@ -122,7 +122,8 @@ def renew(
         last_set=first_set + n_sets - 1,
         row_id=current.row_id + len(settings.positions),
     )
-    return retired, replace(_collecting(position, settings, following), created_utc_ns=utc_ns)
+    successor = _collecting(position, settings.baseline.approval, following)
+    return retired, replace(successor, created_utc_ns=utc_ns)
 
 
 def approve(row: BaselineRow, author: str, utc_ns: int) -> BaselineRow:
@@ -130,7 +131,8 @@ def approve(row: BaselineRow, author: str, utc_ns: int) -> BaselineRow:
     return replace(row, state="approved", approval=author, approved_utc_ns=utc_ns)
 
 
-def _collecting(position: str, settings: Settings, sets: BaselineRange) -> BaselineRow:
+def _collecting(position: str, approval: str, sets: BaselineRange) -> BaselineRow:
+    """Return the row of a baseline that is being collected."""
     return BaselineRow(
         id=sets.row_id,
         name=baseline_name(position, sets.number),
@@ -142,7 +144,7 @@ def _collecting(position: str, settings: Settings, sets: BaselineRange) -> Basel
         mean=[],
         covariance=[],
         limit_reason="the baseline is still being recorded",
-        approval=settings.baseline.approval,
+        approval=approval,
         provenance={},
         state="collecting",
     )

@@ -9,7 +9,7 @@ from daq_service.assessment.methods import METHODS
 from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue.reader import LatestRows
 from daq_service.processes.freshness import Freshness
-from daq_service.settings.tree import ScheduleSettings, Settings
+from daq_service.settings.tree import ScheduleSettings
 
 STALE_INTERVALS = 1.5
 """A set may be late by half an interval before its position counts as stale."""
@@ -53,13 +53,13 @@ def status_of(last: LatestRows) -> PositionStatus:
     return "collecting_baseline" if assessment is None or assessment.in_baseline else "not_assessed"
 
 
-def limit_of(last: LatestRows, settings: Settings) -> float | None:
+def limit_of(last: LatestRows, thinnest_m: float) -> float | None:
     """Return the limit of a position: minimum thickness in m of a probe, outlier limit of a transducer.
 
     None if there is no limit yet.
     """
     if not METHODS[last.method].has_baseline:
-        return settings.thinnest_m
+        return thinnest_m
     assessment = last.last_assessment
     if assessment is None:
         return None

@@ -52,7 +52,7 @@ def restored_solitary_wave(
         rehearsal=rehearsal,
         has_chart=stored is None or stored.state == "collecting" or stored.limits is not None,
     )
-    return _restored(assessor, settings, catalogue, archive)
+    return _restored(assessor, settings.configuration_hash(), catalogue, archive)
 
 
 def restored_pulse_echo(
@@ -68,18 +68,20 @@ def restored_pulse_echo(
     from daq_service.assessment.pulse_echo import PulseEchoAssessor
 
     del rehearsal
-    assessor = _restored(PulseEchoAssessor(position, settings), settings, catalogue, archive)
+    assessor = _restored(
+        PulseEchoAssessor(position, settings), settings.configuration_hash(), catalogue, archive
+    )
     if assessor.lost is not None and assessor.state.reference is None:
         raise assessor.lost[1]
     return assessor
 
 
-def _restored(assessor: A, settings: Settings, catalogue: Catalogue, archive: SetReader) -> A:
+def _restored(assessor: A, configuration_hash: str, catalogue: Catalogue, archive: SetReader) -> A:
     """Set the state of a new assessor: the stored one, none after a renewal, or that of all stored sets."""
     from analysis.assessment.exact_json import from_json
 
     rows = catalogue.rows(AssessorStateRow, position=assessor.position)
-    made_by = (STATE_FORMAT, settings.configuration_hash())
+    made_by = (STATE_FORMAT, configuration_hash)
     if not rows or any((row.format, row.configuration_hash) != made_by for row in rows):
         follow_stored_sets(assessor, catalogue, archive)
     elif {row.baseline_id for row in rows} == {assessor.baseline_id}:

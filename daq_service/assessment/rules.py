@@ -7,13 +7,15 @@ from analysis.statistics.design import Budget
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.acquisition.schedule import due_hours
 from daq_service.assessment.baseline_lifecycle import BaselineRange, baseline_name
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import ScheduleSettings, Settings
 
 HOURS_PER_DAY = 24.0
 
 
 def rules_of(settings: Settings, *, baseline: BaselineRange, position: str, has_chart: bool = True) -> Rules:
     """Return the rules of a transducer's assessment from the configuration; see `Rules` about the chart."""
+    alarms_per_year = settings.false_alarms_per_sensor_year()
+    sets_per_alarm = run_length(settings.schedule, settings.baseline.hours, alarms_per_year)
     return Rules(
         baseline_name=baseline_name(position, baseline.number),
         first_baseline_set=baseline.first_set,
@@ -23,24 +25,23 @@ def rules_of(settings: Settings, *, baseline: BaselineRange, position: str, has_
         shots_per_set=settings.schedule.shots_per_set,
         limit=settings.novelty.limit,
         false_alarm_rate=settings.novelty.false_alarm_rate,
-        run_length=run_length(settings) if has_chart else None,
-        false_alarms_per_sensor_year=settings.false_alarms_per_sensor_year(),
+        run_length=sets_per_alarm if has_chart else None,
+        false_alarms_per_sensor_year=alarms_per_year,
         decides_by=settings.alarms.decides_by,
         alarm=AlarmRule(k=settings.alarms.k, n=settings.alarms.n),
         hole=HoleRule(shots=settings.alarms.hole_shots, consecutive_sets=settings.alarms.hole_sets),
     )
 
 
-def run_length(settings: Settings) -> float:
+def run_length(schedule: ScheduleSettings, baseline_end_h: float, alarms_per_year: float) -> float:
     """Compute the mean number of sets between two false alarms of a healthy sensor.
 
     It is the design false-alarm rate at the mean interval of the complete schedule after the baseline. A test
     that ends early keeps its rate.
     """
-    baseline_end_h, phases = settings.baseline.hours, settings.schedule.phases
+    phases = schedule.phases
     hours_after = [hour for hour in due_hours(phases) if hour > baseline_end_h]
     interval_h = (
         (hours_after[-1] - baseline_end_h) / len(hours_after) if hours_after else phases[-1].interval_h
     )
-    alarms_per_year = settings.false_alarms_per_sensor_year()
     return Budget(alarms_per_year=alarms_per_year, sets_per_day=HOURS_PER_DAY / interval_h).run_length

@@ -32,7 +32,7 @@ def refuse_other_test(engine: Engine, path: Path, settings: Settings) -> None:
         found = connection.execute(select(*columns)).one_or_none()
         if found is None:
             return  # no test yet
-        lines = _other_versions(connection, settings)
+        lines = _other_versions(connection, on_twin=settings.rig.on_twin)
     refuse_other_experiment(
         ExperimentRow(**current_row("experiment", found._asdict())), path.parent, settings, lines
     )
@@ -66,7 +66,7 @@ def refuse_other_experiment(
         )
 
 
-def _other_versions(connection: Connection, settings: Settings) -> list[str]:
+def _other_versions(connection: Connection, *, on_twin: bool) -> list[str]:
     """List extractors and twin whose version differs from that of the folder's last rows."""
     # Loading the extractors takes a while, and only a folder that has a test needs it.
     from analysis.ultrasound import thickness as pulse_echo
@@ -76,7 +76,7 @@ def _other_versions(connection: Connection, settings: Settings) -> list[str]:
         "extractor of solitary waves": (_newest(connection, features), solitary_wave.EXTRACTOR_VERSION),
         "extractor of pulse echoes": (_newest(connection, thickness), pulse_echo.EXTRACTOR_VERSION),
     }
-    if settings.rig.on_twin:
+    if on_twin:
         used["physics of the twin"] = (_twin_version(connection), TWIN_VERSION)
     return [
         f"{name}: began with {began}, is {now} now"

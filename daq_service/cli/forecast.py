@@ -174,11 +174,13 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
         shots=[record for record in records if isinstance(record, Shot)],
         echoes=[record for record in records if isinstance(record, PulseEchoRecord)],
         provenance={"configuration": settings.model_dump(mode="json")},
-        results=_results(settings, records),
+        results=_results(settings.names_of(PULSE_ECHO), settings.names_of(SOLITARY_WAVE), records),
     )
 
 
-def _results(settings: Settings, records: Sequence[Shot | PulseEchoRecord]) -> Results:
+def _results(
+    probes: Sequence[str], transducers: Sequence[str], records: Sequence[Shot | PulseEchoRecord]
+) -> Results:
     """Build results of records; their size does not depend on the values."""
     from daq_service.assessment.results_in_file import results_of
     from daq_service.assessment.transaction import shot_row
@@ -186,13 +188,12 @@ def _results(settings: Settings, records: Sequence[Shot | PulseEchoRecord]) -> R
 
     common: dict[str, Any] = {"set_index": 0, "due_h": 0.5, "extractor_version": "1.1", "quality": "good"}
     features = [
-        FeatureRow(position=name, shot_index=None, sequence=None, n_valid=1, **common)
-        for name in settings.names_of(SOLITARY_WAVE)
+        FeatureRow(position=name, shot_index=None, sequence=None, n_valid=1, **common) for name in transducers
     ]
     thickness = []
     for record in records:
         of_record = {**common, "position": record.key.position, "sequence": record.sequence}
-        if record.key.position in settings.names_of(PULSE_ECHO):
+        if record.key.position in probes:
             thickness.append(ThicknessRow(**of_record))
         else:
             features.append(FeatureRow(shot_index=record.key.shot_index, n_valid=1, **of_record))

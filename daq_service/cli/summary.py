@@ -17,7 +17,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.catalogue.store import Catalogue
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import BaselineSettings, Settings
 from hardware_drivers.methods import PULSE_ECHO
 
 OF_SOLITARY_WAVES = (
@@ -36,7 +36,7 @@ def summarise_run(settings: Settings, folder: Path) -> dict[str, object]:
         positions = {
             name: _ultrasonic(catalogue, name)
             if place.method == PULSE_ECHO
-            else _solitary(catalogue, settings, name)
+            else _solitary(catalogue, settings.baseline, settings.novelty.limit, name)
             for name, place in settings.positions.items()
         }
         return {
@@ -61,14 +61,16 @@ def _cost(catalogue: Catalogue) -> dict[str, float] | None:
     return rows[-1].payload["cost"] if rows else None
 
 
-def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[str, object]:
+def _solitary(
+    catalogue: Catalogue, rules: BaselineSettings, limit_name: str, position: str
+) -> dict[str, object]:
     """Return the summary of a solitary-wave transducer."""
     assessments = catalogue.rows(AssessmentRow, position=position)
     assessed = [row for row in assessments if not row.in_baseline and row.outlier is not None]
     after = [row for row in assessed if row.due_h > SPLIT_H]
     baseline = catalogue.baseline(position)
-    last = _last_good_feature(catalogue, settings.baseline.minimum_valid_shots, position)
-    limit = None if baseline is None else limits_by_name(baseline).get(settings.novelty.limit)
+    last = _last_good_feature(catalogue, rules.minimum_valid_shots, position)
+    limit = None if baseline is None else limits_by_name(baseline).get(limit_name)
     return {
         "first_alarm_h": _first_alarm_h(catalogue, position),
         "outlier_fraction_before_100_h": _fraction(row.outlier for row in assessed if row.due_h <= SPLIT_H),
@@ -77,7 +79,7 @@ def _solitary(catalogue: Catalogue, settings: Settings, position: str) -> dict[s
         "tof_us": None if last is None else _scaled(last.tof_pp_s, 1e6),
         "amplitude_ratio": None if last is None else last.amplitude_ratio,
         "limit": limit,
-        "limit_name": settings.novelty.limit,
+        "limit_name": limit_name,
         "limit_paper": None if baseline is None else baseline.limit_mean_3sd,
         "limit_reason": "the baseline is still being recorded" if baseline is None else baseline.limit_reason,
         "n_baseline": _baseline_size(catalogue, baseline, position),

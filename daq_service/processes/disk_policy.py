@@ -12,7 +12,7 @@ from daq_service.acquisition.schedule import due_hours
 from daq_service.archive.waterfall.tiles import kept_cells, planned_bytes
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.connection import FILE_NAME
-from daq_service.settings.tree import Settings, StorageSettings
+from daq_service.settings.tree import ScheduleSettings, StorageSettings
 
 RESERVE_FILE = "reserve"
 LEAVES_AT = 1.1
@@ -94,9 +94,14 @@ class Outlook:
     full_at_h: float | None = None
 
 
-def outlook(folder: Path, settings: Settings, catalogue: Catalogue, usage: Usage = disk_usage) -> Outlook:
+def outlook(
+    folder: Path,
+    storage: StorageSettings,
+    schedule: ScheduleSettings,
+    catalogue: Catalogue,
+    usage: Usage = disk_usage,
+) -> Outlook:
     """Forecast whether the remaining sets of the test fit on the disk."""
-    storage = settings.storage
     space, newest = disk_space(folder, storage, usage=usage), catalogue.newest_recorded()
     forecast = Outlook(free_bytes=space.free_bytes, total_bytes=space.total_bytes, level=space.level)
     path = folder / ((newest and newest.file) or "")
@@ -104,7 +109,7 @@ def outlook(folder: Path, settings: Settings, catalogue: Catalogue, usage: Usage
         return forecast
     counts = catalogue.counts()
     n_done = counts["sets"] + counts["missed_sets"]
-    planned_h = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
+    planned_h = due_hours(schedule.phases, end_h=schedule.end_h)
     remaining_h = planned_h[n_done:]
     tiles = sum(planned_bytes(n_cells, len(planned_h)) for n_cells in kept_cells(folder)) / max(
         1, len(planned_h)

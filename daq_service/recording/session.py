@@ -51,7 +51,7 @@ from daq_service.recording.resources import (
 )
 from daq_service.recording.resumed_time import hour_0, time_before
 from daq_service.settings.instruments import configured
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import ClockSettings, Settings
 from hardware_drivers.instruments import Clock, Rig
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -101,7 +101,7 @@ def record(
         history.begin()
         archive = stack.enter_context(closing(FolderArchive(folder)))
         _note_digests(catalogue, archive, partial(_note_file, catalogue, history))
-        clock = _clock(settings, catalogue, archive, last_beat, host)
+        clock = _clock(settings.clock, catalogue, archive, last_beat, host)
         line = clock.line if isinstance(clock, WallClock) else lambda: None
         heartbeat = Heartbeat(folder, deadline_s=deadline_s, notify=report, time_line=line)
         moment = partial(moment_at, clock, epoch_ns)
@@ -146,13 +146,17 @@ def record(
 
 
 def _clock(
-    settings: Settings, catalogue: RecorderCatalogue, archive: Archive, last_beat: Beat | None, host: Host
+    settings: ClockSettings,
+    catalogue: RecorderCatalogue,
+    archive: Archive,
+    last_beat: Beat | None,
+    host: Host,
 ) -> Clock:
     """Make the clock of the test, which goes on where the last recorder ended."""
-    if settings.clock.kind != "wall":
+    if settings.kind != "wall":
         epoch_ns = catalogue.experiment_row().epoch_utc_ns
         start_ns = _resume_utc_ns(catalogue, archive, epoch_ns)
-        return SimulatedClock(start_ns, pace_h_per_s=settings.clock.pace_h_per_s)
+        return SimulatedClock(start_ns, pace_h_per_s=settings.pace_h_per_s)
     return host.wall_clock(
         time_before(
             catalogue,
@@ -160,7 +164,7 @@ def _clock(
             opened_utc_ns=[item.last_utc_ns for item in archive.open_sets().values()],
             boot=boot_name(),
             elapsed_ns=elapsed_ns(),
-            doubt_after_h=settings.clock.doubt_after_h,
+            doubt_after_h=settings.doubt_after_h,
         )
     )
 

@@ -28,6 +28,7 @@ from hardware_drivers.instruments import (
 )
 from hardware_drivers.kinds import Opened, Opening, Role
 from hardware_drivers.measurement import ShotKey
+from simulator.parameters.experiment import TwinParameters
 
 CONTROL_VARIABLE = "SOLIMON_DOUBLES_CONTROL"
 """Where the doubles of a demonstration are told which shot comes and what hour it is."""
@@ -75,7 +76,7 @@ def open_rig(
             clock = opened[-1].clock or clock
         rig = _compose_rig(settings.rig.kind, instruments, opened, clock, asking)
         if settings.rig.on_doubles:
-            rig = stack.enter_context(_announce_shots(rig, settings, epoch_utc_ns))
+            rig = stack.enter_context(_announce_shots(rig, settings.twin, epoch_utc_ns))
         # Entered last, left first: coils and drive are off before any connection is closed.
         yield stack.enter_context(rig)
 
@@ -182,7 +183,7 @@ class _Together:
 
 
 @contextmanager
-def _announce_shots(rig: Rig, settings: Settings, epoch_utc_ns: int) -> Iterator[Rig]:
+def _announce_shots(rig: Rig, twin: TwinParameters, epoch_utc_ns: int) -> Iterator[Rig]:
     """Announce each shot and its hour to the doubles, because they know no experiment."""
     from simulator.doubles.transports.control import DoublesControl
     from simulator.experiment.corrosion import held_hour_h
@@ -197,13 +198,13 @@ def _announce_shots(rig: Rig, settings: Settings, epoch_utc_ns: int) -> Iterator
 
         def announce(key: ShotKey) -> None:
             elapsed_ns = rig.clock.utc_ns() - epoch_utc_ns
-            control.announce(key, held_hour_h(elapsed_ns, settings.twin.update_interval_s))
+            control.announce(key, held_hour_h(elapsed_ns, twin.update_interval_s))
 
         yield replace(
             rig,
             digitizer=_AnnouncedDigitizer(rig.digitizer, announce),
             pulse_echo=None if rig.pulse_echo is None else _AnnouncedPulseEcho(rig.pulse_echo, announce),
-            identity={**rig.identity, "doubles": version("solimon"), "seed": str(settings.twin.seed)},
+            identity={**rig.identity, "doubles": version("solimon"), "seed": str(twin.seed)},
         )
 
 

@@ -55,7 +55,7 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
         checks += trial.checks
     code = exit_code(checks)
     if as_json:
-        report = _report(settings, folder, checks, trial, code)
+        report = _report(settings.configuration_hash(), settings.rig.kind, folder, checks, trial, code)
         click.echo(orjson.dumps(report, option=orjson.OPT_SERIALIZE_NUMPY))  # it writes NaN as null
     else:
         _print_table(checks, trial)
@@ -180,12 +180,17 @@ def _print_table(checks: list[Check], trial: Trial | None) -> None:
 
 
 def _report(
-    settings: Settings, folder: Path, checks: list[Check], trial: Trial | None, code: int
+    configuration_hash: str,
+    rig_kind: str,
+    folder: Path,
+    checks: list[Check],
+    trial: Trial | None,
+    code: int,
 ) -> dict[str, object]:
     """Return the results for JSON."""
     return {
-        "configuration_hash": settings.configuration_hash(),
-        "rig": settings.rig.kind,
+        "configuration_hash": configuration_hash,
+        "rig": rig_kind,
         "data_folder": str(folder),
         "exit_code": code,
         "checks": [asdict(check) for check in checks],

@@ -20,6 +20,7 @@ from daq_service.cli.doctor.spike import spike_check
 from daq_service.clock import SimulatedClock, WallClock, boot_id, parse_utc
 from daq_service.errors import UsageError
 from daq_service.rig.open_rig import open_rig
+from daq_service.settings.rig import RigSettings
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import InstrumentError
@@ -155,9 +156,10 @@ def _shot(
         return Trial(position=position, checks=(_missed(measurement),))
     assert isinstance(measurement, Shot), "a solitary-wave position gives a shot or a miss"
     features = features_of(measurement)
+    level_v = _trigger_level_v(settings.rig, settings.twin.adc.trigger_level_v, measurement)
     return Trial(
         position=position,
-        checks=(_record(measurement, features, took_s), _level(settings, measurement, features, spike)),
+        checks=(_record(measurement, features, took_s), _level(level_v, measurement, features, spike)),
         features=features,
         record=measurement.waveform,
         settings=measurement.settings,
@@ -214,12 +216,15 @@ def _record(shot: Shot, features: ShotFeatures, took_s: float) -> Check:
     )
 
 
-def _level(settings: Settings, shot: Shot, features: ShotFeatures, spike: SpikeSurvey | None) -> Check:
+def _trigger_level_v(rig: RigSettings, simulated_v: float, shot: Shot) -> float:
+    """Return the trigger level of a shot in V; NaN if the instrument of a mixed rig does not report it."""
+    if rig.kind == "mixed":
+        return float(shot.settings.get("trigger_level_v", math.nan))
+    return simulated_v if rig.daqmx is None else rig.daqmx.trigger_level_v
+
+
+def _level(level_v: float, shot: Shot, features: ShotFeatures, spike: SpikeSurvey | None) -> Check:
     """Compare the trigger level with the incident wave of the shot, or of the survey before."""
-    boards = settings.rig.daqmx
-    level_v = settings.twin.adc.trigger_level_v if boards is None else boards.trigger_level_v
-    if settings.rig.kind == "mixed":
-        level_v = float(shot.settings.get("trigger_level_v", math.nan))
     name = f"strike {shot.key.position}: trigger level"
     incident_v = features.isw_amplitude_v
     if (math.isnan(incident_v) or not features.valid) and spike is not None and spike.wave_v is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import time
+from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -79,8 +80,13 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 "next_due_h": _next_due_h(settings.schedule, counts["sets"] + counts["missed_sets"]),
                 "gaps": _gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
                 "lost": _lost_rows(folder, catalogue) | lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
-                "confirmations": _confirmations(catalogue, settings, fresh),
-                "disk": asdict(outlook(folder, settings, catalogue)),
+                "confirmations": _confirmations(
+                    catalogue,
+                    settings.names_of(SOLITARY_WAVE),
+                    settings.alarms.confirmation_sets_a_day,
+                    fresh,
+                ),
+                "disk": asdict(outlook(folder, settings.storage, settings.schedule, catalogue)),
                 "positions": {
                     name: {
                         **_newest_rows(latest),
@@ -159,7 +165,7 @@ def _present_state(
         "state": status_of(last),
         "age_h": age_h,
         "stale": is_stale(settings.schedule, fresh, age_h),
-        "limit": limit_of(last, settings),
+        "limit": limit_of(last, settings.thinnest_m),
         "chart": None if chart is None else dict(zip(("statistic", "limit"), chart, strict=True)),
     }
 
@@ -179,7 +185,9 @@ def _rate_of(row: BaselineRow | None) -> dict[str, object] | None:
     }
 
 
-def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -> dict[str, object]:
+def _confirmations(
+    catalogue: Catalogue, transducers: Sequence[str], maximum_a_day: int, fresh: Freshness
+) -> dict[str, object]:
     """Return the number of confirmation sets, the newest result, and how many are left today."""
     rows = catalogue.rows(SetRow, purpose="confirmation")
     newest = max(rows, key=lambda row: row.due_utc_ns, default=None)
@@ -188,14 +196,12 @@ def _confirmations(catalogue: Catalogue, settings: Settings, fresh: Freshness) -
         assessments = catalogue.rows(AssessmentRow, position=newest.position, **newest.set_key._asdict())
         result = asdict(summarize_confirmation(newest, assessments[0] if assessments else None))
         last = {"position": newest.position, **result, "age_h": fresh.age_h(newest.due_h)}
-    requested, maximum = read_confirmations(catalogue), settings.alarms.confirmation_sets_a_day
+    requested = read_confirmations(catalogue)
     return {
         "sets": len(rows),
         "last": last,
         "left_today": {
-            name: max(0, maximum - count_recent(name, requested, fresh.now_h))
-            for name, place in settings.positions.items()
-            if place.method == SOLITARY_WAVE
+            name: max(0, maximum_a_day - count_recent(name, requested, fresh.now_h)) for name in transducers
         },
     }
 

@@ -49,7 +49,7 @@ from daq_service.recording.reassessment.reassess import (
 from daq_service.recording.reassessment.stored_runs import Progress
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
-from hardware_drivers.methods import SOLITARY_WAVE
+from hardware_drivers.methods import SOLITARY_WAVE, Method
 
 EXTRACTORS: Mapping[type[Row], str] = {
     FeatureRow: EXTRACTOR_VERSION,
@@ -179,7 +179,7 @@ def _recomputed(
     """Reassess the position of an alarm up to its set."""
     position, up_to_set = alarm.position, alarm.raised_set_index
     assert position is not None and up_to_set is not None, "it follows from records"  # noqa: PT018
-    _refuse_other_extractor(stored, settings, position, up_to_set)
+    _refuse_other_extractor(stored, settings.positions[position].method, position, up_to_set)
     archive = FolderSetReader(folder)
     read_set = partial(_records_at, position, archive)
     with ExitStack() as stack:
@@ -219,9 +219,9 @@ def _recomputed(
         )
 
 
-def _refuse_other_extractor(stored: Catalogue, settings: Settings, position: str, up_to_set: int) -> None:
+def _refuse_other_extractor(stored: Catalogue, method: Method, position: str, up_to_set: int) -> None:
     """Raise an error if the results are of another extractor."""
-    kind = METHODS[settings.positions[position].method].row
+    kind = METHODS[method].row
     columns = stored.columns(kind, ("extractor_version",), position=position, last_set=up_to_set)
     if others := sorted(set(columns["extractor_version"]) - {EXTRACTORS[kind]}):
         raise UsageError(

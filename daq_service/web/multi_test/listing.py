@@ -117,9 +117,9 @@ def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> St
     hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     positions = [
         position_standing(
-            settings,
+            place,
+            settings.schedule,
             fresh,
-            name,
             fresh.standing_word(summaries.get(name) or LatestRows(position=name, method=place.method)),
         )
         for name, place in settings.positions.items()

@@ -255,7 +255,7 @@ def _position_report(
         data_h=data_h,
         age_h=age_h,
         stale=is_stale(settings.schedule, fresh, age_h),
-        limit=limit_of(last, settings),
+        limit=limit_of(last, settings.thinnest_m),
         values=catalogue.columns(kind, columns, **set_filters),
         assessments=None
         if is_probe

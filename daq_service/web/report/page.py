@@ -11,7 +11,7 @@ from daq_service.alarms.states import NOT_ASSESSED
 from daq_service.alarms.transitions import transition
 from daq_service.assessment.stored_limits import deciding_chart
 from daq_service.catalogue.rows import AlarmRow, EventRow
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import AlarmSettings, NoveltySettings
 from daq_service.web.report.contents import MOST_LINES, Columns, Contents, PositionReport
 from daq_service.web.templates import NOT_KNOWN, quantity, render, significant
 from hardware_drivers.nanoseconds import NS_PER_H
@@ -33,10 +33,14 @@ def page(contents: Contents, figures: Mapping[str, str]) -> bytes:
         title=f"Report of the test {contents.experiment.name}",
         contents=contents,
         figures=figures,
-        alarm_rule=_alarm_rule_rows(contents.settings),
+        alarm_rule=_alarm_rule_rows(
+            contents.settings.alarms,
+            contents.settings.novelty,
+            contents.settings.false_alarms_per_sensor_year(),
+        ),
         most_lines=MOST_LINES,
         configuration=json.dumps(contents.experiment.configuration, indent=1, sort_keys=True),
-        newest=lambda position: _newest(position, contents.settings),
+        newest=lambda position: _newest(position, contents.settings.alarms),
         series=_series_rows,
         sentences=sentences,
         history_cells=history_cells,
@@ -53,12 +57,12 @@ def history_cells(event: EventRow) -> Row:
     return (event.kind.replace("_", " "), states.replace("_", " "), change["author"] or "", reason)
 
 
-def _alarm_rule_rows(settings: Settings) -> list[tuple[str, str]]:
-    outlier = f"{settings.novelty.limit}, {settings.novelty.false_alarm_rate:g} false alarms a set"
-    of_sets = f"at {settings.alarms.k} of {settings.alarms.n} sets"
-    if settings.alarms.decides_by != "chart":
+def _alarm_rule_rows(alarms: AlarmSettings, novelty: NoveltySettings, budget: float) -> list[tuple[str, str]]:
+    """Return the rule of the wall alarm and the limit of an outlier as rows of a table."""
+    outlier = f"{novelty.limit}, {novelty.false_alarm_rate:g} false alarms a set"
+    of_sets = f"at {alarms.k} of {alarms.n} sets"
+    if alarms.decides_by != "chart":
         return [("Limit that decides", outlier), ("Alarm", of_sets)]
-    budget = settings.false_alarms_per_sensor_year()
     by_chart = (
         f"by the chart beyond its limit, made for {budget:g} false alarms a sensor and year, or by a "
         f"cause named WALL; {of_sets} where a baseline of an earlier version has no chart"
@@ -69,7 +73,7 @@ def _alarm_rule_rows(settings: Settings) -> list[tuple[str, str]]:
     ]
 
 
-def _newest(position: PositionReport, settings: Settings) -> Row:
+def _newest(position: PositionReport, alarms: AlarmSettings) -> Row:
     """Return the newest value of a position and its limit."""
     assessment, thickness = position.last.last_assessment, position.last.last_thickness
     if thickness is not None:
@@ -78,7 +82,7 @@ def _newest(position: PositionReport, settings: Settings) -> Row:
     if position.state == NOT_ASSESSED and assessment is not None and assessment.reason:
         value = f"not judged: {assessment.reason}"
     limit = significant(position.limit)
-    if (chart := deciding_chart(assessment, settings.alarms)) is None:
+    if (chart := deciding_chart(assessment, alarms)) is None:
         return value, limit
     return f"{value}; chart {significant(chart[0])}", f"{limit}; chart {significant(chart[1])}"
 

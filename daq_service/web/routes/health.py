@@ -33,7 +33,8 @@ def get_health(context: ContextOf) -> JsonAnswer:
     """Return the heartbeat of the recorder, counts of stored data, open streams, and free disk space."""
     fresh = context.freshness()
     beat = fresh.recorder.beat
-    disk = outlook(context.data_folder, context.settings, context.catalogue())
+    settings, catalogue = context.settings, context.catalogue()
+    disk = outlook(context.data_folder, settings.storage, settings.schedule, catalogue)
     return JsonAnswer(
         {
             "as_of": fresh.as_of(),

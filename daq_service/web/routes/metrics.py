@@ -19,7 +19,7 @@ from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.processes.disk_policy import LEVELS, outlook
 from daq_service.processes.recorder_state import RecorderStatus, read_recorder_state
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import ScheduleSettings
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.version import distribution_version
 from daq_service.web.context import Context, ContextOf, Freshness
@@ -120,7 +120,7 @@ def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
         yield _counter(name, description, counts[name])
     yield _counter("alarms", "Alarms ever raised", catalogue.newest_id(AlarmRow))
     yield _counter("orders", "Orders ever given", catalogue.newest_id(CommandRow))
-    disk = outlook(context.data_folder, context.settings, catalogue)
+    disk = outlook(context.data_folder, context.settings.storage, context.settings.schedule, catalogue)
     yield _gauge("disk_free_bytes", "Free on the volume of the data folder", disk.free_bytes)
     yield _gauge("disk_size_bytes", "Size of that volume", disk.total_bytes)
     yield _gauge("disk_needed_bytes", "What the rest of the test takes", disk.needed_bytes)
@@ -136,7 +136,7 @@ def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
         name: fresh.standing_word(states.get(name, LatestRows(position=name, method=place.method)))
         for name, place in context.settings.positions.items()
     }
-    yield from _of_positions(context.settings, fresh, summaries)
+    yield from _of_positions(context.settings.schedule, context.settings.thinnest_m, fresh, summaries)
 
 
 VALUES = (
@@ -153,8 +153,10 @@ VALUES = (
 
 
 def _of_positions(
-    settings: Settings, fresh: Freshness, summaries: Mapping[str, LatestRows]
+    schedule: ScheduleSettings, thinnest_m: float, fresh: Freshness, summaries: Mapping[str, LatestRows]
 ) -> Iterator[Metric]:
+    """Yield the metrics of each position, from its latest rows."""
+
     def gauge(name: str, description: str, value: Callable[[LatestRows], float | None]) -> Metric:
         samples: dict[Labels, float | None] = {(place,): value(last) for place, last in summaries.items()}
         return _gauges(name, description, samples, "position")
@@ -177,14 +179,14 @@ def _of_positions(
         return lambda last: getattr(getattr(last, row), column, None)
 
     def limit_of_row(row: str) -> Callable[[LatestRows], float | None]:
-        return lambda last: None if getattr(last, row) is None else limit_of(last, settings)
+        return lambda last: None if getattr(last, row) is None else limit_of(last, thinnest_m)
 
     yield states("position_state", "How a position stands", status_of, PositionStatus)
     yield states("quality", "Quality of the newest values", _quality, Quality)
     yield gauge(
         "stale",
         "1: older than the schedule explains",
-        lambda last: is_stale(settings.schedule, fresh, age_h(last)),
+        lambda last: is_stale(schedule, fresh, age_h(last)),
     )
     yield gauge("data_age_seconds", "Age of the newest measured set on the test's clock", age_s)
     for name, description, row, column in VALUES:

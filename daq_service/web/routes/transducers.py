@@ -12,7 +12,7 @@ from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import Row
 from daq_service.corrosion_drive.supply_state import read_supply_status
 from daq_service.processes import freshness
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import PositionSettings, ScheduleSettings
 from daq_service.web.answers.json_answer import JsonAnswer, rfc3339
 from daq_service.web.answers.models import (
     EnvironmentNow,
@@ -71,7 +71,7 @@ def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | N
     assessment, alarms = last.last_assessment, last.active_alarms
     visible_alarms = [row for row in alarms if row.suppressed is None]
     shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]
-    standing = position_standing(context.settings, fresh, name, last)
+    standing = position_standing(context.settings.positions[name], context.settings.schedule, fresh, last)
     return {
         **standing.model_dump(),
         "serial_number": place.serial_number,
@@ -89,17 +89,17 @@ def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | N
 
 
 def position_standing(
-    settings: Settings, fresh: freshness.Freshness, name: str, last: LatestRows
+    place: PositionSettings, schedule: ScheduleSettings, fresh: freshness.Freshness, last: LatestRows
 ) -> PositionStanding:
     """Return the status of a position from its latest rows, with its alarms in their present state."""
-    place, data_h = settings.positions[name], data_hour(last)
+    data_h = data_hour(last)
     age_h = None if data_h is None else fresh.age_h(data_h)
     return PositionStanding(
-        position=name,
+        position=last.position,
         label=place.label,
         method=place.method,
         state=status_of(last),
-        stale=is_stale(settings.schedule, fresh, age_h),
+        stale=is_stale(schedule, fresh, age_h),
         data_h=data_h,
         age_h=age_h,
     )

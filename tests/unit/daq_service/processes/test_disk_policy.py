@@ -1,6 +1,7 @@
 """Levels of a volume that fills and is freed, the reserve, and the forecast of the free space."""
 
 from dataclasses import replace
+from functools import partial
 from types import SimpleNamespace
 
 import pytest
@@ -98,10 +99,11 @@ def test_the_forecast_uses_the_newest_file_and_has_the_time_of_the_full_disk(tmp
     filled = FilledFolder(tmp_path, settings)
     try:
         usage = lambda folder: (50 * GB, 100 * GB)  # noqa: E731
-        assert outlook(tmp_path, settings, filled.catalogue, usage).needed_bytes is None
+        forecast = partial(outlook, tmp_path, settings.storage, settings.schedule, filled.catalogue)
+        assert forecast(usage).needed_bytes is None
         for index in range(5):
             filled.add_set(index)
-        found = outlook(tmp_path, settings, filled.catalogue, usage)
+        found = forecast(usage)
         assert found.full_at_h is None
         a_set = found.needed_bytes / 420
         (newest,) = (tmp_path / "sets").glob("set_000004_*.h5")
@@ -109,17 +111,17 @@ def test_the_forecast_uses_the_newest_file_and_has_the_time_of_the_full_disk(tmp
         assert a_set == pytest.approx(newest.stat().st_size + catalogue / 5, abs=1.0)
         (tmp_path / "small.h5").write_bytes(b"one transducer")
         filled.add_confirmation("B", 4, file="small.h5")
-        assert outlook(tmp_path, settings, filled.catalogue, usage) == replace(
-            found, needed_bytes=pytest.approx(found.needed_bytes, rel=0.01)
-        ), "by a planned set; its rows are in the catalogue"
+        assert forecast(usage) == replace(found, needed_bytes=pytest.approx(found.needed_bytes, rel=0.01)), (
+            "by a planned set; its rows are in the catalogue"
+        )
         # Room for ten more sets and a half above the five percent: set 15 is the first without.
         tight = lambda folder: (5 * GB + round(10.5 * a_set), 100 * GB)  # noqa: E731
-        assert outlook(tmp_path, settings, filled.catalogue, tight).full_at_h == filled.due[15].due_h
+        assert forecast(tight).full_at_h == filled.due[15].due_h
         for path in (tmp_path / "sets").iterdir():
             write_tiles_of_file(tmp_path, "this test", SetReference(f"sets/{path.name}"), {})
         cells = kept_cells(tmp_path)
         assert sum(planned_bytes(n, 5) for n in cells) == n_bytes(tmp_path) > 0
-        more = outlook(tmp_path, settings, filled.catalogue, usage).needed_bytes - found.needed_bytes
+        more = forecast(usage).needed_bytes - found.needed_bytes
         assert more == pytest.approx(sum(planned_bytes(n, 425) for n in cells) * 420 / 425, abs=1.0)
     finally:
         filled.close()

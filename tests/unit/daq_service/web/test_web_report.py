@@ -149,7 +149,9 @@ def test_the_tables_have_the_numbers_of_the_client(filled, page):
 
 
 def decides(alarms):
-    return dict(_alarm_rule_rows(Settings(alarms=alarms)))
+    settings = Settings(alarms=alarms)
+    budget = settings.false_alarms_per_sensor_year()
+    return dict(_alarm_rule_rows(settings.alarms, settings.novelty, budget))
 
 
 def test_the_report_describes_the_configured_alarm_rule():

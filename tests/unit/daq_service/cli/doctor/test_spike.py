@@ -121,6 +121,6 @@ def test_an_error_is_a_check_with_a_remedy(monkeypatch, parameters, error, state
 )
 def test_a_trigger_level_is_checked_against_a_measured_wave(features, survey, state, message):
     shot = SimpleNamespace(key=ShotKey(position="B", set_index=0, shot_index=0))
-    result = trial._level(Settings(), shot, features, survey)
+    result = trial._level(Settings().twin.adc.trigger_level_v, shot, features, survey)
     assert (result.state, message in result.found) == (state, True), result.found
     assert "nan" not in f"{result.found} {result.remedy}".lower()
