@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import logging
 import os
-import time
 from collections.abc import Callable
 from pathlib import Path
 
 from daq_service.background.task import BackgroundTask
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.disk_policy import RESERVE_FILE, DiskSpace, Usage, disk_space, disk_usage, refusal
 from daq_service.settings.tree import StorageSettings
 from daq_service.shared_file import O_BINARY, remove_quietly, write_all
@@ -41,10 +41,10 @@ class DiskWatch(BackgroundTask):
         settings: StorageSettings,
         *,
         usage: Usage = disk_usage,
-        mono_s: Callable[[], float] = time.monotonic,
+        machine: MachineClock = MACHINE,
     ) -> None:
         self._path, self._settings = folder / RESERVE_FILE, settings
-        self._usage, self._mono_s = usage, mono_s
+        self._usage, self._machine = usage, machine
         self._next_s = -float("inf")
         self._reserve_bytes = settings.reserve_mb * 10**6
         self.space = DiskSpace(free_bytes=0, total_bytes=0, level="ample")
@@ -61,9 +61,9 @@ class DiskWatch(BackgroundTask):
 
     def check(self) -> DiskSpace | None:
         """Measure if it is due; return the space where its level has changed, else None."""
-        if self._mono_s() < self._next_s:
+        if self._machine.mono_s() < self._next_s:
             return None
-        self._next_s, before = self._mono_s() + LOOK_EVERY_S, self.space.level
+        self._next_s, before = self._machine.mono_s() + LOOK_EVERY_S, self.space.level
         try:
             self.space = disk_space(self._path.parent, self._settings, before=before, usage=self._usage)
         except OSError as error:  # the folder is missing: writing there reports it

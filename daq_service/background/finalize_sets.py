@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import math
-import time
 from collections.abc import Callable
 from concurrent.futures import BrokenExecutor, Executor, Future
 from pathlib import Path
@@ -20,6 +19,7 @@ from daq_service.archive import (
 )
 from daq_service.archive.finalize_set import finalize_set
 from daq_service.background.task import BackgroundTask
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import StorageError
 from daq_service.processes.worker import one_worker
 from hardware_drivers.measurement import SetKey
@@ -57,13 +57,13 @@ class SetFinalizer(BackgroundTask):
         archive: Archive,
         *,
         start: Callable[[], Executor] = one_worker,
-        mono_s: Callable[[], float] = time.monotonic,
+        machine: MachineClock = MACHINE,
         results: Callable[[SetKey], Results] = lambda set_key: {},
         filed: Callable[[SetKey, str, str], None] = lambda set_key, file, sha256: None,
         also: Callable[[SetKey, Results], Callable[[SetRecord], str] | None] = lambda set_key, results: None,
     ) -> None:
         self._folder, self._archive = folder, archive
-        self._start, self._mono_s, self._results, self._filed = start, mono_s, results, filed
+        self._start, self._machine, self._results, self._filed = start, machine, results, filed
         self._also = also
         self._executor: Executor | None = None
         self._running: dict[SetKey, Future[tuple[SetReference, str, str]]] = {}
@@ -87,7 +87,7 @@ class SetFinalizer(BackgroundTask):
             )
         except BrokenExecutor:
             self._executor = None
-            self._again_s[set_key] = self._mono_s()
+            self._again_s[set_key] = self._machine.mono_s()
         except StorageError as error:
             self._put_off(set_key, error)
 
@@ -107,7 +107,7 @@ class SetFinalizer(BackgroundTask):
         """Process finished files and retry failed ones; called while no set is due."""
         for set_key in [key for key, future in self._running.items() if future.done()]:
             self._take_back(set_key, self._running.pop(set_key))
-        now_s = self._mono_s()
+        now_s = self._machine.mono_s()
         for set_key in [key for key, due_s in self._again_s.items() if due_s <= now_s]:
             del self._again_s[set_key]
             self.after_set(set_key)
@@ -137,7 +137,7 @@ class SetFinalizer(BackgroundTask):
     def _put_off(self, set_key: SetKey, error: Exception) -> None:
         log.error("set %s has no file yet and stays in the journal: %s", set_key, error)
         self._refusal = f"{error}"
-        self._again_s[set_key] = self._mono_s() + AGAIN_AFTER_S
+        self._again_s[set_key] = self._machine.mono_s() + AGAIN_AFTER_S
 
     @property
     def trouble(self) -> str:

@@ -12,13 +12,14 @@ import logging
 import math
 import struct
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from analysis.waves.features import ShotFeatures
 from daq_service.background.task import BackgroundTask
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.shared_file import write_hint
 from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
@@ -43,14 +44,12 @@ def encode(header: Mapping[str, Any], waveform: Waveform) -> bytes:
 class LiveFigure(BackgroundTask):
     """Writer of the live files of one data folder."""
 
-    def __init__(
-        self, folder: Path, rig_kind: str, *, mono_ns: Callable[[], int] = time.monotonic_ns
-    ) -> None:
+    def __init__(self, folder: Path, rig_kind: str, *, machine: MachineClock = MACHINE) -> None:
         self._folder = folder / "live"
         with suppress(OSError):  # the first picture tells
             self._folder.mkdir(exist_ok=True)
         self._rig_kind = rig_kind
-        self._mono_ns = mono_ns
+        self._machine = machine
         self._written_ns: dict[str, int] = {}
         self._cost_ns = 0
         self._refused: int | None = None
@@ -60,14 +59,14 @@ class LiveFigure(BackgroundTask):
         last = self._written_ns.get(position)
         pause_ns = COSTS_BETWEEN * len(self._written_ns) * self._cost_ns
         pause_ns = min(max(pause_ns, SHORTEST_INTERVAL_NS), LONGEST_INTERVAL_NS)
-        return last is None or self._mono_ns() - last >= pause_ns
+        return last is None or self._machine.mono_ns() - last >= pause_ns
 
     def show(
         self, measurement: Shot | PulseEchoRecord, *, due_h: float, features: ShotFeatures | None
     ) -> None:
         """Replace the live figure of a position; a disk error loses the figure, not the shot."""
         waveform, key = measurement.waveform, measurement.key
-        started_ns = self._mono_ns()
+        started_ns = self._machine.mono_ns()
         values = {} if features is None else features.values()
         header = {
             "position": key.position,
@@ -92,7 +91,7 @@ class LiveFigure(BackgroundTask):
             # Once for a full disk, not ten times a second. Windows refuses while somebody reads the old one.
             log.warning("no live picture of %s: %s", key.position, error)
         self._refused = refused
-        self._written_ns[key.position] = now_ns = self._mono_ns()
+        self._written_ns[key.position] = now_ns = self._machine.mono_ns()
         self._cost_ns = now_ns - started_ns
 
 

@@ -7,7 +7,6 @@ missing after an older version, a full volume or a corrupt tile, are added while
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
 from pathlib import Path
@@ -18,6 +17,7 @@ from daq_service.archive.waterfall.tile_files import forget_tiles, write_tiles_o
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.task import BackgroundTask
 from daq_service.background.verification import QUIET_S
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import StorageError
 from hardware_drivers.measurement import SetKey
 
@@ -98,13 +98,13 @@ class TileMaker(BackgroundTask):
         results: Callable[[SetKey], Results],
         *,
         has_room: Callable[[], bool] = lambda: True,
-        mono_s: Callable[[], float] = time.monotonic,
+        machine: MachineClock = MACHINE,
     ) -> None:
         self._folder, self._experiment, self._finalizer = folder, experiment, finalizer
-        self._files, self._results, self._has_room, self._mono_s = files, results, has_room, mono_s
+        self._files, self._results, self._has_room, self._machine = files, results, has_room, machine
         self._round: list[tuple[SetKey, str]] = []
         self._running: Future[str] | None = None
-        self._next_s = mono_s()
+        self._next_s = machine.mono_s()
         self._last_message = ""
 
     def run_for(self, seconds: float) -> None:
@@ -115,8 +115,8 @@ class TileMaker(BackgroundTask):
             self._take_back(self._running)
             self._running = None
         free = seconds > QUIET_S and not self._finalizer.waits
-        if free and self._has_room() and self._mono_s() >= self._next_s:
-            self._next_s = self._mono_s() + EVERY_S
+        if free and self._has_room() and self._machine.mono_s() >= self._next_s:
+            self._next_s = self._machine.mono_s() + EVERY_S
             self._submit(self._next_sets_of_round())
 
     def _next_sets_of_round(self) -> list[tuple[SetKey, str]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import time
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future
 from pathlib import Path
@@ -14,6 +13,7 @@ from daq_service.archive.records import SETS_FOLDER, referenced_sets, set_keys
 from daq_service.archive.verification import damage_of
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.task import BackgroundTask
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import StorageError
 from hardware_drivers.measurement import SetKey
 
@@ -57,13 +57,13 @@ class IdleVerification(BackgroundTask):
         sha256_of: Callable[[SetKey], str | None],
         note: Callable[[SetKey, str, str], None] = lambda set_key, file, sha256: None,
         *,
-        mono_s: Callable[[], float] = time.monotonic,
+        machine: MachineClock = MACHINE,
     ) -> None:
-        self._folder, self._finalizer, self._mono_s = folder, finalizer, mono_s
+        self._folder, self._finalizer, self._machine = folder, finalizer, machine
         self._lost, self._sha256_of, self._note = lost, sha256_of, note
         self._to_come: list[str] = []
         self._running: tuple[str, bool, Future[tuple[str, str]]] | None = None
-        self._next_s = mono_s()
+        self._next_s = machine.mono_s()
         self.damaged: dict[str, str] = {}
         self.files_read = 0
 
@@ -93,8 +93,8 @@ class IdleVerification(BackgroundTask):
             if future.done():
                 self._running = None
                 self._take_back(file, is_noted, future)
-        elif seconds > QUIET_S and self._mono_s() >= self._next_s:
-            self._next_s = self._mono_s() + EVERY_S
+        elif seconds > QUIET_S and self._machine.mono_s() >= self._next_s:
+            self._next_s = self._machine.mono_s() + EVERY_S
             if not self._to_come:
                 self.begin()
             if self._to_come:

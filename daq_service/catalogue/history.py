@@ -12,9 +12,8 @@ from __future__ import annotations
 
 import logging
 import os
-import time
 import zlib
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -28,6 +27,7 @@ from daq_service.catalogue.experiment_file import HISTORY_FILE, refuse_another
 from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import CommandRow, EventRow, ExperimentRow, SetRow, values
 from daq_service.catalogue.writer import ANSWERS
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import StorageError
 from daq_service.shared_file import O_BINARY, patiently, sync_folder, write_all
 from hardware_drivers.measurement import SetKey
@@ -156,11 +156,9 @@ def parse_line(line: bytes) -> tuple[int, str, Mapping[str, object]] | None:
 class HistoryFollower:
     """Appends catalogue rows that the history lacks; its errors do not affect the test."""
 
-    def __init__(
-        self, folder: Path, catalogue: Catalogue, *, mono_s: Callable[[], float] = time.monotonic
-    ) -> None:
+    def __init__(self, folder: Path, catalogue: Catalogue, *, machine: MachineClock = MACHINE) -> None:
         self._folder, self._catalogue = folder, catalogue
-        self._mono_s = mono_s
+        self._machine = machine
         self._next_s = 0.0
         self._known: History | None = None
         self._last_answered = 0
@@ -211,9 +209,9 @@ class HistoryFollower:
 
     def follow(self, *, now: bool = False) -> None:
         """Append new rows, at most once per second."""
-        if not now and self._mono_s() < self._next_s:
+        if not now and self._machine.mono_s() < self._next_s:
             return
-        self._next_s = self._mono_s() + FOLLOW_EVERY_S
+        self._next_s = self._machine.mono_s() + FOLLOW_EVERY_S
         try:
             self._append()
         except (OSError, StorageError) as error:

@@ -42,7 +42,7 @@ class Persistence:
     def __init__(self, resources: Resources) -> None:
         self._archive, self._catalogue, self._tasks = resources.archive, resources.catalogue, resources.tasks
         self._disk, self._stop, self._moment = resources.disk, resources.stop, resources.moment
-        self._acknowledged, self._mono_s = resources.options.acknowledged, resources.host.mono_s
+        self._acknowledged, self._mono_s = resources.options.acknowledged, resources.host.machine.mono_s
         self._limit_bytes = resources.settings.storage.memory_mb * 10**6
         self._reported_ids: set[int] = set()
         self._jobs: deque[tuple[Callable[[], None], int]] = deque()

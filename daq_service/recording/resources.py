@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import threading
-import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from daq_service.background.live_figure import LiveFigure
 from daq_service.background.task import BackgroundTask
 from daq_service.background.verification import IdleVerification
 from daq_service.catalogue import RecorderCatalogue
-from daq_service.clock import Before, WallClock
+from daq_service.clock import MACHINE, Before, MachineClock, WallClock
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.processes.disk_policy import Usage, disk_usage
 from daq_service.processes.heartbeat import Heartbeat, WebWatch
@@ -42,8 +41,8 @@ class Host:
 
     Attributes
     ----------
-    mono_s
-        Monotonic clock in seconds.
+    machine
+        Times of the computer.
     wall_clock
         Makes the clock of a test in real time, from what is known of the time before.
     worker
@@ -58,7 +57,7 @@ class Host:
         Wait before each further try to open the rig of a test that was started before; the last one repeats.
     """
 
-    mono_s: Callable[[], float] = time.monotonic
+    machine: MachineClock = MACHINE
     wall_clock: Callable[[Before], Clock] = WallClock
     worker: Callable[[], Executor] = one_worker
     disk_usage: Usage = disk_usage

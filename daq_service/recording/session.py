@@ -146,17 +146,13 @@ def record(
 
 
 def _clock(
-    settings: ClockSettings,
-    catalogue: RecorderCatalogue,
-    archive: Archive,
-    last_beat: Beat | None,
-    host: Host,
+    clock: ClockSettings, catalogue: RecorderCatalogue, archive: Archive, last_beat: Beat | None, host: Host
 ) -> Clock:
     """Make the clock of the test, which goes on where the last recorder ended."""
-    if settings.kind != "wall":
+    if clock.kind != "wall":
         epoch_ns = catalogue.experiment_row().epoch_utc_ns
         start_ns = _resume_utc_ns(catalogue, archive, epoch_ns)
-        return SimulatedClock(start_ns, pace_h_per_s=settings.pace_h_per_s)
+        return SimulatedClock(start_ns, pace_h_per_s=clock.pace_h_per_s)
     return host.wall_clock(
         time_before(
             catalogue,
@@ -164,7 +160,7 @@ def _clock(
             opened_utc_ns=[item.last_utc_ns for item in archive.open_sets().values()],
             boot=boot_name(),
             elapsed_ns=elapsed_ns(),
-            doubt_after_h=settings.doubt_after_h,
+            doubt_after_h=clock.doubt_after_h,
         )
     )
 

@@ -112,8 +112,8 @@ class Waiting:
         finalizer, host, stop = self._resources.finalizer, self._resources.host, self._resources.stop
         if finalizer is None or stop.is_set():
             return
-        until_s = host.mono_s() + WAIT_FOR_FILES_S
-        while self.between_sets() and host.mono_s() < until_s and finalizer.waits:
+        until_s = host.machine.mono_s() + WAIT_FOR_FILES_S
+        while self.between_sets() and host.machine.mono_s() < until_s and finalizer.waits:
             finalizer.try_again()
             stop.wait(host.look_every_s)
 

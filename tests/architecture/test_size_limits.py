@@ -32,9 +32,6 @@ EXCEPTIONS = {
         "RemoteDrive",
         "class",
     ): "one connection and the requests on it",
-    ("daq_service/processes/notifications/receiver.py", "ReceiverQueue.__init__", "parameters"): (
-        "two clocks and chance for tests"
-    ),
     (
         "daq_service/processes/supervisor.py",
         "Supervisor.__init__",

@@ -46,6 +46,7 @@ from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
 from hardware_drivers.instruments import Acquired, Clock, Echo, Rig
 from hardware_drivers.measurement import Calibration, SetKey, Shot, ShotKey, Waveform
 from support.empty_catalogue import empty_catalogue
+from support.machine import clock_in_seconds
 from support.memory_archive import MemoryArchive, Shelf
 
 MEMORY: dict[str, Any] = {
@@ -277,7 +278,11 @@ class Line:
                 options=SessionOptions(
                     unsupervised=left_alone or threading.Event(), acknowledged=acknowledged
                 ),
-                host=Host(mono_s=mono_s, listen_every_s=self.listen_every_s, look_every_s=self.look_every_s),
+                host=Host(
+                    machine=clock_in_seconds(mono_s),
+                    listen_every_s=self.listen_every_s,
+                    look_every_s=self.look_every_s,
+                ),
                 finalizer=finalizer,
                 verification=idle_check,
                 disk=disk,

@@ -103,9 +103,9 @@ class Stop(threading.Event):
 def injected(clock: Time) -> Iterator[None]:
     """Let everything in this process use a simulated clock."""
     named: dict[Callable[..., Any], dict[str, Any]] = {
-        SetFinalizer.__init__: {"mono_s": clock.s},
+        SetFinalizer.__init__: {"machine": clock.machine},
         Heartbeat.__init__: {"machine": clock.machine},
-        LiveFigure.__init__: {"mono_ns": clock.ns},
+        LiveFigure.__init__: {"machine": clock.machine},
         shared_file.patiently: {"pause": clock.sleep},
     }
     with ExitStack() as stack:
@@ -139,7 +139,7 @@ def record(
                 stop=stop,
                 report=lambda event, **values: None,
                 options=SessionOptions(acknowledged=acknowledged_ids.append),
-                host=Host(mono_s=clock.s, worker=AtOnce, wall_clock=wall_clock, listen_every_s=1.0),
+                host=Host(machine=clock.machine, worker=AtOnce, wall_clock=wall_clock, listen_every_s=1.0),
             )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from daq_service.processes.notifications.source import Source
 from daq_service.processes.notifications.webhook import Outcome
 from daq_service.settings.tree import Settings
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
+from support.machine import clock_in_seconds
 from support.new_experiment import new_catalogue
 
 TAKEN = Outcome(ok=True, description="taken (204)", status=204)
@@ -99,8 +101,7 @@ class Bench:
             self.log,
             self._send,
             self._send,
-            mono_s=lambda: self.mono_s,
-            now_ns=self.now_ns,
+            machine=replace(clock_in_seconds(lambda: self.mono_s), utc_ns=self.now_ns),
             random_fraction=lambda: 0.5,
         )
         return self.line

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import sys
-import time
-from collections.abc import Callable
 from typing import TextIO
+
+from daq_service.clock import MACHINE, MachineClock
 
 REDRAW_INTERVAL_S = 0.2
 TENTHS = 10
@@ -22,8 +22,8 @@ class Progress:
         Of those, found in the work file.
     stream
         Output stream; None is standard error.
-    clock
-        Monotonic seconds.
+    machine
+        Times of the computer.
     what
         What is counted.
     """
@@ -34,15 +34,15 @@ class Progress:
         done: int,
         *,
         stream: TextIO | None = None,
-        clock: Callable[[], float] = time.monotonic,
+        machine: MachineClock = MACHINE,
         what: str = "rows",
     ) -> None:
         self._total = total
         self._done = self._found = done
         self._stream = sys.stderr if stream is None else stream
-        self._clock = clock
+        self._machine = machine
         self._what = what
-        self._started = self._printed = clock()
+        self._started = self._printed = machine.mono_s()
         self._terminal = self._stream.isatty()
         self._tenth = TENTHS * done // total
         if done:
@@ -52,7 +52,7 @@ class Progress:
     def advance(self, rows: int) -> None:
         """Count finished rows and print the progress if it is due."""
         self._done += rows
-        now = self._clock()
+        now = self._machine.mono_s()
         finished = self._done == self._total
         tenth = TENTHS * self._done // self._total
         due = now - self._printed >= REDRAW_INTERVAL_S if self._terminal else tenth > self._tenth

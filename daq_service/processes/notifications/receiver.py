@@ -9,10 +9,10 @@ from __future__ import annotations
 import logging
 import random
 import threading
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.notifications import messages
 from daq_service.processes.notifications.delivery_log import Delivery, DeliveryKind, DeliveryLog, Progress
@@ -90,20 +90,19 @@ class ReceiverQueue:
         send: Send,
         send_test: Send,
         *,
-        mono_s: Callable[[], float] = time.monotonic,
-        now_ns: Callable[[], int] = time.time_ns,
+        machine: MachineClock = MACHINE,
         random_fraction: Callable[[], float] = random.random,
     ) -> None:
         self.name, self.state = name, State()
         self._settings, self._receiver = settings, settings.receivers[name]
         self._source, self._delivery_log, self._send, self._send_test = source, deliveries, send, send_test
-        self._mono_s, self._now_ns, self._random_fraction = mono_s, now_ns, random_fraction
+        self._machine, self._random_fraction = machine, random_fraction
         self._waiting = WaitingChanges(settings.rules)
         self._current: _OpenMessage | None = None
         self._started = False
         self._last_read_id = 0
         self._settled: set[int] = set()
-        self._heartbeat_due_s = mono_s()
+        self._heartbeat_due_s = machine.mono_s()
         self._test_lock = threading.Lock()
 
     def start(self, progress: Progress | None) -> None:
@@ -155,7 +154,8 @@ class ReceiverQueue:
         if not self._test_lock.acquire(blocking=False):
             raise BusyError(f"a trial of {self.name} is under way; wait for its result")
         try:
-            message = messages.trial_message(self._source.test(), self.name, author, now_ns=self._now_ns())
+            now_ns = self._machine.utc_ns()
+            message = messages.trial_message(self._source.test(), self.name, author, now_ns=now_ns)
             outcome = self._attempt(self._send_test, message)
             kind: DeliveryKind = "tested" if outcome.ok else "test_failed"
             attempt = _OpenMessage(changes=(), key=message.key, attempts=1)
@@ -189,8 +189,8 @@ class ReceiverQueue:
             elif self._is_too_old(change):
                 outdated_ids.append(row.id)
             else:
-                age_s = (self._now_ns() - change.wall_utc_ns) / NS_PER_S
-                not_sent_ids += self._waiting.add(change, rule, now_s=self._mono_s(), age_s=age_s)
+                age_s = (self._machine.utc_ns() - change.wall_utc_ns) / NS_PER_S
+                not_sent_ids += self._waiting.add(change, rule, now_s=self._machine.mono_s(), age_s=age_s)
         self._settled |= {*skipped_ids, *not_sent_ids, *outdated_ids}
         if outdated_ids:
             self._give_up(
@@ -202,29 +202,30 @@ class ReceiverQueue:
             self._log_delivery("passed", "not for this receiver", skipped_ids)
 
     def _is_too_old(self, change: messages.AlarmChange) -> bool:
-        return self._now_ns() - change.wall_utc_ns > self._settings.give_up_h * NS_PER_H
+        return self._machine.utc_ns() - change.wall_utc_ns > self._settings.give_up_h * NS_PER_H
 
     # Outgoing messages
 
     def _deliver(self) -> None:
         if self._current is None:
-            changes = self._waiting.due(self._mono_s())
+            changes = self._waiting.due(self._machine.mono_s())
             if not changes:
                 return
             self._waiting.remove(changes)
             self._current = self._new_message(changes)
             self._log_delivery("sending", "", message=self._current)
         current = self._current
-        if self._mono_s() < current.next_s:
+        if self._machine.mono_s() < current.next_s:
             return
         test, qualities = self._source.test(), self._source.qualities(current.changes)
-        message = messages.alarm_message(test, self.name, current.changes, qualities, now_ns=self._now_ns())
+        now_ns = self._machine.utc_ns()
+        message = messages.alarm_message(test, self.name, current.changes, qualities, now_ns=now_ns)
         outcome = self._attempt(self._send, message)
         current.attempts += 1
         if outcome.ok:
             self._close(current)
             self.state.sent += 1
-            self.state.last_sent_utc_ns = self._now_ns()
+            self.state.last_sent_utc_ns = self._machine.utc_ns()
             self.state.failing_since_utc_ns = None
             self._log_delivery("sent", outcome.description, message=current)
             return
@@ -241,14 +242,14 @@ class ReceiverQueue:
                 self._log_delivery("failing", outcome.description, message=current)
             pause_s = min(LONGEST_PAUSE_S, FIRST_PAUSE_S * 2.0 ** min(current.attempts - 1, 20))
             pause_s = max(outcome.retry_after_s, pause_s * (0.5 + self._random_fraction()))
-            current.next_s = self._mono_s() + pause_s
-            self.state.next_attempt_utc_ns = self._now_ns() + round(pause_s * NS_PER_S)
+            current.next_s = self._machine.mono_s() + pause_s
+            self.state.next_attempt_utc_ns = self._machine.utc_ns() + round(pause_s * NS_PER_S)
 
     def _count_failure(self, outcome: Outcome) -> None:
         self.state.failed += 1
-        self.state.last_failure, self.state.last_failure_utc_ns = outcome.description, self._now_ns()
+        self.state.last_failure, self.state.last_failure_utc_ns = outcome.description, self._machine.utc_ns()
         if self.state.failing_since_utc_ns is None:
-            self.state.failing_since_utc_ns = self._now_ns()
+            self.state.failing_since_utc_ns = self._machine.utc_ns()
             log.warning("notifications do not reach %s, tried again: %s", self.name, outcome.description)
 
     def _close(self, message: _OpenMessage) -> None:
@@ -277,10 +278,10 @@ class ReceiverQueue:
 
     def _send_heartbeat(self) -> None:
         every_s = self._receiver.heartbeat_s
-        if every_s is None or self._mono_s() < self._heartbeat_due_s:
+        if every_s is None or self._machine.mono_s() < self._heartbeat_due_s:
             return
-        self._heartbeat_due_s = self._mono_s() + every_s
-        now_ns = self._now_ns()
+        self._heartbeat_due_s = self._machine.mono_s() + every_s
+        now_ns = self._machine.utc_ns()
         self.state.next_heartbeat_utc_ns = now_ns + round(every_s * NS_PER_S)
         facts = self._source.read_heartbeat_facts()
         if facts["recorder"] in ("not_responding", "not_started"):
@@ -301,8 +302,8 @@ class ReceiverQueue:
         every_s = self._receiver.heartbeat_s
         if every_s is not None and self._logs_each_heartbeat:
             last_ns = self._delivery_log.last_heartbeat_ns(self.name)
-            past_s = every_s if last_ns is None else (self._now_ns() - last_ns) / NS_PER_S
-            self._heartbeat_due_s = self._mono_s() + min(every_s, max(0.0, every_s - past_s))
+            past_s = every_s if last_ns is None else (self._machine.utc_ns() - last_ns) / NS_PER_S
+            self._heartbeat_due_s = self._machine.mono_s() + min(every_s, max(0.0, every_s - past_s))
 
     def _report_heartbeat(self, state: str, description: str) -> None:
         if state != self.state.heartbeat or (self._logs_each_heartbeat and state != "withheld"):
@@ -355,13 +356,13 @@ class ReceiverQueue:
                 key="" if message is None else message.key,
                 attempts=0 if message is None else message.attempts,
                 place=self._progress() if with_progress else None,
-                utc_ns=self._now_ns(),
+                utc_ns=self._machine.utc_ns(),
             )
         )
 
     def _pause_s(self) -> float:
         """Return the time until something is due, at most until the next read of the catalogue, s."""
-        now_s = self._mono_s()
+        now_s = self._machine.mono_s()
         due = [LOOK_EVERY_S + now_s]
         if self._current is not None:
             due.append(self._current.next_s)

@@ -14,16 +14,16 @@ import logging
 import socket
 import ssl
 import threading
-import time
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
 from email.utils import parsedate_to_datetime
 from importlib.metadata import version
 from urllib.parse import urlsplit
 
+from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.notifications.addresses import Address
 from daq_service.processes.notifications.messages import Message
+from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)
 
@@ -99,7 +99,7 @@ def post(
     message: Message,
     *,
     cut: Cut | None = None,
-    now_s: Callable[[], float] = time.time,
+    machine: MachineClock = MACHINE,
 ) -> Outcome:
     """Try once to deliver a message; every error is returned as an outcome, within `ANSWER_WITHIN_S`."""
     cut = cut or Cut()
@@ -110,7 +110,7 @@ def post(
         "Content-Type": "application/json",
         "User-Agent": f"solimon/{version('solimon')}",
         KEY: message.key,
-        SIGNATURE: signature(address.secret, int(now_s()), body),
+        SIGNATURE: signature(address.secret, machine.utc_ns() // NS_PER_S, body),
     }
     target = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
     timed_out = threading.Event()
@@ -129,7 +129,7 @@ def post(
         connection.sock = _connect(parts.scheme, connection.host, connection.port, cut)
         connection.request("POST", target, body, headers)
         response = connection.getresponse()
-        return _outcome(response.status, response.headers.get("Retry-After"), now_s())
+        return _outcome(response.status, response.headers.get("Retry-After"), machine.utc_ns() / NS_PER_S)
     except (OSError, http.client.HTTPException, ValueError) as error:
         late = f"no answer within {ANSWER_WITHIN_S:g} s" if timed_out.is_set() else ""
         return Outcome(ok=False, description=late or _error_description(error))

@@ -13,7 +13,7 @@ import os
 import re
 import secrets
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -21,7 +21,7 @@ from typing import Literal
 
 from pydantic import TypeAdapter, ValidationError
 
-from daq_service.clock import format_utc, parse_utc
+from daq_service.clock import MACHINE, MachineClock, format_utc, parse_utc
 from daq_service.errors import StorageError, StorageUnavailableError, UsageError
 from daq_service.processes.data_folder import one_at_a_time
 from daq_service.settings.web import WebSettings
@@ -163,8 +163,8 @@ class KnownTokens:
     Where the file is missing or unreadable after a token was created, all access is denied until it is back.
     """
 
-    def __init__(self, path: Path, *, mono_s: Callable[[], float] = time.monotonic) -> None:
-        self._path, self._mono_s = path, mono_s
+    def __init__(self, path: Path, *, machine: MachineClock = MACHINE) -> None:
+        self._path, self._machine = path, machine
         self._next_s = -1.0
         self._mark: tuple[int, ...] | None = None
         self._tokens: tuple[Token, ...] = ()
@@ -193,9 +193,9 @@ class KnownTokens:
         )
 
     def _reload(self) -> None:
-        if self._mono_s() < self._next_s:
+        if self._machine.mono_s() < self._next_s:
             return
-        self._next_s = self._mono_s() + LOOK_EVERY_S
+        self._next_s = self._machine.mono_s() + LOOK_EVERY_S
         mark = _mark_of(self._path)
         if mark == self._mark:
             return

@@ -7,6 +7,7 @@ import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
 from support.damaging import flip
 from support.filed_archive import FiledArchive
+from support.machine import clock_in_seconds
 from support.small_experiment import AtOnce
 
 from daq_service.archive import FolderArchive
@@ -53,7 +54,7 @@ def test_sets_get_their_files_and_leave_the_journal(archive, tmp_path):
 )
 def test_an_error_of_the_worker_is_reported_and_retried(archive, tmp_path, monkeypatch, refusal):
     now_s = [0.0]
-    making = SetFinalizer(tmp_path, archive, start=AtOnce, mono_s=lambda: now_s[0])
+    making = SetFinalizer(tmp_path, archive, start=AtOnce, machine=clock_in_seconds(lambda: now_s[0]))
 
     def refuse(folder, set_index, places, results, also):
         raise refusal

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
 from support.filed_archive import FiledArchive
-from support.machine import Machine
+from support.machine import Machine, clock_in_seconds
 from support.memory_line import Line, memory_settings
 from support.small_experiment import AtOnce
 
@@ -51,7 +51,12 @@ class IdleBench:
         self.finalizer = SetFinalizer(folder, FiledArchive(folder), start=lambda: self.worker)
         self.trouble, self.noted = None, {}
         self.check = IdleVerification(
-            folder, self.finalizer, lambda: self.lost, self.sha256_of, self.note, mono_s=lambda: self.now_s
+            folder,
+            self.finalizer,
+            lambda: self.lost,
+            self.sha256_of,
+            self.note,
+            machine=clock_in_seconds(lambda: self.now_s),
         )
 
     def sha256_of(self, set_index):

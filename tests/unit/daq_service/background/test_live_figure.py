@@ -8,6 +8,7 @@ import pytest
 
 from analysis.waves.features import ShotFeatures
 from daq_service.background.live_figure import LiveFigure
+from daq_service.clock import MachineClock
 from hardware_drivers.measurement import Calibration, Shot, ShotKey, Stamp, Waveform
 
 
@@ -42,7 +43,7 @@ def test_a_live_figure_has_header_marks_and_exact_samples(tmp_path, dtype):
 
 def test_a_live_figure_is_replaced_at_most_ten_times_per_second(tmp_path):
     now = [1_000_000_000]
-    live = LiveFigure(tmp_path, "simulated", mono_ns=lambda: now[0])
+    live = LiveFigure(tmp_path, "simulated", machine=MachineClock(mono_ns=lambda: now[0]))
     assert live.due("B")
     live.show(shot(np.zeros(4, np.int16)), due_h=1.0, features=None)
     assert not live.due("B")
@@ -61,7 +62,7 @@ def test_on_a_slow_disk_live_figures_are_rarer(tmp_path, monkeypatch):
         return written(self, data)
 
     monkeypatch.setattr(Path, "write_bytes", slowly)
-    live = LiveFigure(tmp_path, "simulated", mono_ns=lambda: now[0])
+    live = LiveFigure(tmp_path, "simulated", machine=MachineClock(mono_ns=lambda: now[0]))
     for position in ("C", "B"):
         live.show(shot(np.zeros(4, np.int16), position), due_h=1.0, features=None)
     now[0] += 799_000_000

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
 from support.damaging import flip
+from support.machine import clock_in_seconds
 from support.small_experiment import AtOnce
 from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
@@ -50,7 +51,7 @@ class Line:
             lambda: self.files,
             lambda set_index: self.read.append(set_index) or RESULTS,
             has_room=lambda: self.room,
-            mono_s=lambda: self.now_s,
+            machine=clock_in_seconds(lambda: self.now_s),
         )
 
     def tile(self, set_index, results):

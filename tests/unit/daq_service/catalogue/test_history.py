@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 from support import invented_rows
+from support.machine import clock_in_seconds
 from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import SetCommit, history
@@ -24,7 +25,7 @@ def catalogue(tmp_path):
 @pytest.fixture
 def follower(catalogue, tmp_path):
     now = iter(range(0, 10**6, 10))
-    follower = HistoryFollower(tmp_path, catalogue, mono_s=lambda: next(now))
+    follower = HistoryFollower(tmp_path, catalogue, machine=clock_in_seconds(lambda: next(now)))
     follower.begin()
     return follower
 
@@ -127,7 +128,7 @@ def test_a_new_follower_appends_missing_lines_once(catalogue, follower, tmp_path
 
 def test_the_history_is_written_at_most_once_per_second(catalogue, tmp_path):
     now = [0.0]
-    follower = HistoryFollower(tmp_path, catalogue, mono_s=lambda: now[0])
+    follower = HistoryFollower(tmp_path, catalogue, machine=clock_in_seconds(lambda: now[0]))
     follower.begin()
     add_events(catalogue, "one")
     now[0] = 0.9

@@ -6,6 +6,7 @@ from types import SimpleNamespace
 
 import pytest
 from support.filled_folder import FilledFolder
+from support.machine import clock_in_seconds
 
 from daq_service.archive import SetReference
 from daq_service.archive.waterfall.tile_files import write_tiles_of_file
@@ -64,7 +65,9 @@ class Volume:
 
 def test_the_reserve_is_released_when_the_disk_is_full_and_restored(tmp_path):
     volume, reserve = Volume(), tmp_path / RESERVE_FILE
-    disk = DiskWatch(tmp_path, StorageSettings(reserve_mb=2), usage=volume, mono_s=lambda: volume.now_s)
+    disk = DiskWatch(
+        tmp_path, StorageSettings(reserve_mb=2), usage=volume, machine=clock_in_seconds(lambda: volume.now_s)
+    )
 
     def look(free, later_s=10.0):
         volume.free, volume.now_s = free, volume.now_s + later_s

@@ -4,6 +4,7 @@ import threading
 from dataclasses import replace
 
 import pytest
+from support.machine import clock_in_seconds
 from support.memory_archive import MemoryArchive
 from support.memory_line import SETS, KilledError, Line, healthy, memory_settings, silent
 from support.refused_calls import refuse
@@ -253,7 +254,7 @@ def test_the_alarm_of_sets_without_files_is_stored_though_the_catalogue_refused_
     worker.trouble = "no file can be made"
     of_the_alarm = lambda _, transaction: any(row.kind == "write_failed" for row in transaction.alarms)  # noqa: E731
     refuse_commits(monkeypatch, of_the_alarm, times=3)
-    assert line.run(compaction=worker, mono_s=Seconds())
+    assert line.run(finalizer=worker, mono_s=Seconds())
     (alarm,) = [row for row in line.alarms() if row.kind == "write_failed"]
     assert (alarm.state, "no file can be made" in alarm.message) == ("unacknowledged", True)
 
@@ -275,7 +276,9 @@ class Volume:
         return round((self.free_gb if full else 50.0) * 1e9), 10**11
 
     def watch(self):
-        return DiskWatch(self.line.folder, StorageSettings(reserve_mb=1), usage=self, mono_s=Seconds())
+        return DiskWatch(
+            self.line.folder, StorageSettings(reserve_mb=1), usage=self, machine=clock_in_seconds(Seconds())
+        )
 
 
 def test_below_five_percent_free_no_data_are_stored(line, undisturbed):

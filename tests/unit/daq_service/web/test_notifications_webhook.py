@@ -15,6 +15,7 @@ from support.receivers import http_receiver
 from support.reported_alarms import notifying
 from support.waiting import happened
 
+from daq_service.clock import MachineClock
 from daq_service.errors import UsageError
 from daq_service.processes.notifications.addresses import Address, address_of, refuse_unusable, shown_address
 from daq_service.processes.notifications.by_apprise import deliver_by_apprise
@@ -54,7 +55,7 @@ def is_genuine(secret, header, body):
 
 
 def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
-    outcome = send(receiver, now_s=lambda: 1_700_000_000.9)
+    outcome = send(receiver, machine=MachineClock(utc_ns=lambda: 1_700_000_000_900_000_000))
     got = receiver.next()
     assert (outcome.ok, outcome.status) == (True, 204)
     header = got.headers["Solimon-Signature"]
@@ -81,7 +82,7 @@ def test_a_message_is_signed_with_its_time_and_bears_its_key(receiver):
 )
 def test_a_response_determines_the_outcome(status, headers, message, refused, retry_after_s, receiver):
     receiver.answers.put((status, headers))
-    outcome = send(receiver, now_s=lambda: 1_000_000.0)
+    outcome = send(receiver, machine=MachineClock(utc_ns=lambda: 1_000_000_000_000_000))
     assert message in outcome.description
     assert (outcome.ok, outcome.refused, outcome.retry_after_s) == (status < 300, refused, retry_after_s)
 

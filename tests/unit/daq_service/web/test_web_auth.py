@@ -87,7 +87,7 @@ def test_names_of_valid_tokens_are_unique(tokens):
 
 def test_a_running_service_follows_the_token_file_and_rejects_all_without_it(tokens):
     now_s = [0.0]
-    known = KnownTokens(tokens, mono_s=lambda: now_s[0])
+    known = KnownTokens(tokens, machine=clock_in_seconds(lambda: now_s[0]))
     assert not known.asked_for
     _, text = create_token(tokens, "ann", "viewer")
     now_s[0] += 2.0
