@@ -77,12 +77,12 @@ class Baseline:
 
     @property
     def n(self) -> int:
-        """Number of sets."""
+        """Return the number of sets."""
         return len(self.set_indices)
 
     @property
     def p(self) -> int:
-        """Number of features."""
+        """Return the number of features."""
         return len(self.feature_names)
 
 

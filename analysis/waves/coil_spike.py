@@ -100,7 +100,7 @@ class SpikeSurvey:
 
     @property
     def takes_the_trigger(self) -> bool:
-        """Check whether either edge would trigger an armed record."""
+        """Return whether the spike of either edge of the pulse would trigger an armed record."""
         return self.on.triggers or self.off.triggers
 
 

@@ -58,7 +58,7 @@ class Sampling:
 
     @property
     def signal(self) -> str:
-        """Name of the array."""
+        """Return the name of the array."""
         return "record" if self.is_echo else "waveform"
 
 

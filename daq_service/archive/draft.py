@@ -58,7 +58,7 @@ class Node:
 
     @property
     def structure(self) -> tuple[object, ...]:
-        """Everything that the skeleton depends on."""
+        """Return everything that the skeleton depends on."""
         shape = self.stored and (self.stored[0].dtype.str, self.stored[0].shape)
         return self.path, shape, self.chunk, self.axes, self.is_axis, self.link, self.attributes
 

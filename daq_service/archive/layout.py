@@ -68,17 +68,17 @@ class _RecordGroup:
 
     @property
     def waveform(self) -> Waveform:
-        """Waveform of the first record: its sampling and calibration hold for all."""
+        """Return the waveform of the first record, whose sampling and calibration all others share."""
         return self.records[0].waveform
 
     @property
     def is_echo(self) -> bool:
-        """Whether these are pulse-echo records."""
+        """Return whether these are pulse-echo records."""
         return isinstance(self.records[0], PulseEchoRecord)
 
     @property
     def sampling(self) -> tuple[float, int, int]:
-        """Rate in Hz, number of samples and pretrigger samples: they define the time axis."""
+        """Return rate in Hz, number of samples and pretrigger samples: they define the time axis."""
         return self.waveform.sample_rate_hz, self.waveform.counts.size, self.waveform.pretrigger_samples
 
 

@@ -167,5 +167,5 @@ class Archive(SetReader, Protocol):
         ...
 
     def quarantined(self) -> list[str]:
-        """Name all files in the quarantine."""
+        """List the names of all files in the quarantine."""
         ...

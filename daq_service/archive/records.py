@@ -133,12 +133,12 @@ class SetRecord:
 
     @property
     def set_key(self) -> SetKey:
-        """Key of the set."""
+        """Return the key of the set."""
         return SetKey(self.set_index, self.unscheduled_index)
 
     @property
     def records(self) -> list[Shot | PulseEchoRecord]:
-        """Shots and pulse-echo records in the order of acquisition."""
+        """Return shots and pulse-echo records in the order of acquisition."""
         return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
 
 

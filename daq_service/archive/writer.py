@@ -201,7 +201,7 @@ class FolderArchive(FolderSetReader):
         return next(key for key, file in self.sets().items() if file == reference)
 
     def quarantined(self) -> list[str]:
-        """Name all files in the quarantine."""
+        """List the names of all files in the quarantine."""
         names = sorted(path.name for path in (self.folder / QUARANTINE_FOLDER).glob("*"))
         return [f"{QUARANTINE_FOLDER}/{name}" for name in names]
 

@@ -51,7 +51,7 @@ def _follow_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> Seque
 
 
 def _follow_reference(assessor: PulseEchoAssessor, stored: StoredResult, reading: ThicknessRow) -> None:
-    """Take the reference from a stored record; if the first one is lost, from the next good reading."""
+    """Restore the reference from its stored record; if that is lost, from the next good reading."""
     if assessor.lost is not None and (reading.quality != "good" or reading.thickness_m is None):
         return
     try:

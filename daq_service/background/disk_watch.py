@@ -56,7 +56,7 @@ class DiskWatch(BackgroundTask):
             self.on_change(space)
 
     def close(self) -> None:
-        """Give the reserve back."""
+        """Remove the reserve file."""
         self.free_reserve()
 
     def check(self) -> DiskSpace | None:
@@ -77,7 +77,7 @@ class DiskWatch(BackgroundTask):
 
     @property
     def refusal(self) -> str:
-        """Reason why nothing is stored now; empty: there is room."""
+        """Return the reason why nothing is stored now; empty if there is room."""
         return refusal(self.space, self._settings)
 
     def free_reserve(self) -> None:

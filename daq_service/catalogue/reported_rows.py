@@ -54,7 +54,7 @@ def reported(row: Row) -> Payload:
 
 
 def _payload(columns: Payload) -> Payload:
-    """Turn the columns of a row of a set into the payload of its event."""
+    """Convert the columns of a row of a set to the payload of its event."""
     columns.pop("id")
     if "file_sha256" in columns:  # it comes when the file is made, which differs between two runs of one test
         columns["file_sha256"] = None

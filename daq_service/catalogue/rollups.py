@@ -97,7 +97,7 @@ class Blocks:
 
     @property
     def in_range(self) -> ColumnElement[bool]:
-        """Condition for the stored blocks."""
+        """Return the SQL condition that selects the stored blocks."""
         place = trend_blocks.c.place
         return (place >= self.key(self.first)) & (place < self.key(self.end))
 

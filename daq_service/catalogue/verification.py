@@ -196,12 +196,12 @@ class UnchangedCatalogue:
 
     @cached_property
     def _has_unscheduled_index(self) -> bool:
-        """Whether unscheduled sets have their own column, as since revision 0016."""
+        """Return whether unscheduled sets have their own column, as since revision 0016."""
         return "unscheduled_index" in self._values("SELECT name FROM pragma_table_info('sets')")
 
     @property
     def _key_columns(self) -> str:
-        """Columns of the key of a set."""
+        """Return the SQL columns of the key of a set."""
         return f"set_index, {'' if self._has_unscheduled_index else '0 AS '}unscheduled_index"
 
     @cached_property

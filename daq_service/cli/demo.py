@@ -166,7 +166,7 @@ class _AddressPrinter:
             self._print_address()
 
     def recording(self) -> None:
-        """Note the first set, or the end of the wait for it."""
+        """Record the first set, or the end of the wait for it."""
         with self._lock:
             self._recording = True
             self._patience.cancel()

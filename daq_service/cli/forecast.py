@@ -49,7 +49,7 @@ class RecordSize:
 
     @property
     def n_bytes(self) -> int:
-        """Bytes of its counts."""
+        """Return the size of its counts in bytes."""
         return self.samples * self.bytes_per_sample
 
 

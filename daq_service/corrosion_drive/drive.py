@@ -70,12 +70,12 @@ class ReportsProtections(Protocol):
 
     @property
     def tripped_protections(self) -> tuple[str, ...]:
-        """Protections found tripped when the output was last found off."""
+        """Return the protections found tripped when the output was last found off."""
         ...
 
     @property
     def protection_unknown(self) -> str:
-        """Reason why a protection could trip without a report; empty where the supply reports it."""
+        """Return the reason why a protection can trip without a report; empty if the supply reports it."""
         ...
 
 
@@ -109,17 +109,17 @@ class SupplyLogger:
 
     @property
     def tripped(self) -> str | None:
-        """Reason why the interlock has tripped; None: it has not."""
+        """Return the reason why the interlock has tripped; None if it has not."""
         return self._tripped
 
     @property
     def must_switch_off(self) -> bool:
-        """The output has not been read as off since it had to be switched off; each tick tries again."""
+        """Return whether the output must be off and has not been read as off; each tick tries again."""
         return self._must_switch_off
 
     @property
     def state(self) -> DriveState:
-        """State for the process after this one."""
+        """Return the state for the next supply process."""
         return DriveState(
             charge=self._charge,
             command=self._command,
@@ -131,7 +131,7 @@ class SupplyLogger:
 
     @property
     def window_length(self) -> int:
-        """Number of readings in the means."""
+        """Return the number of readings in the means."""
         return len(self._window)
 
     # Called by its owner continuously ------------------------------------------------------------

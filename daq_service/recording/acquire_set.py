@@ -82,7 +82,7 @@ class SetAcquisition:
         return taken
 
     def resume(self, opened: OpenSet) -> TakenSet:
-        """Go on with a set that the last recorder left open in the journal."""
+        """Continue a set that the last recorder left open in the journal."""
         self._archive.resume_set(opened)
         return self.restored(opened)
 
@@ -159,11 +159,11 @@ class SetAcquisition:
     # After the last strike ------------------------------------------------------------------------
 
     def is_complete(self, taken: TakenSet) -> bool:
-        """Whether everything planned was tried."""
+        """Return whether every planned shot was tried."""
         return taken.is_complete(self._set_assessor.n_planned)
 
     def shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
-        """State why a position has fewer records than planned; empty: it has all."""
+        """Return the reason why a position has fewer records than planned; empty if it has all."""
         end_reason = (
             cut_short_reason
             or self._set_assessor.disabled().get(position)
@@ -205,5 +205,5 @@ class SetAcquisition:
         )
 
     def number_after(self, record: SetRecord) -> None:
-        """Give no later shot an id that this record has."""
+        """Set the next shot number above those of a record."""
         self.next_sequence = max([self.next_sequence, *(item.sequence + 1 for item in record.records)])

@@ -73,7 +73,7 @@ class CarriedOver:
         acquisition.next_sequence = max(known) + corrupt.n_lost
 
     def holds(self, set_key: SetKey) -> bool:
-        """Whether strikes of a set were made by an earlier recorder."""
+        """Return whether an earlier recorder made strikes of a set."""
         return set_key in self.open_sets or set_key in self._rowless_files
 
     def unscheduled(self) -> list[DueSet]:
@@ -90,7 +90,7 @@ class CarriedOver:
         return DueSet(**opened.set_key._asdict(), due_h=due_h, due_utc_ns=opened.due_utc_ns)
 
     def _dated(self, opened: OpenSet) -> OpenSet:
-        """Give a set whose first frame is corrupt the times and positions that rows or schedule have."""
+        """Return an open set without its first frame, with times and positions of rows or schedule."""
         index, unscheduled_index = opened.set_key
         rows = self._catalogue.rows(SetRow, **opened.set_key._asdict())
         planned_set = [] if unscheduled_index else self._plan[index : index + 1]
@@ -108,7 +108,7 @@ class CarriedOver:
         )
 
     def _end_again(self, opened: OpenSet) -> None:
-        """Let what is sound of a stored set get its file, though its end or records of it are corrupt."""
+        """Store the end of a set again with its intact records; its end or other records are corrupt."""
         file = self._archive.sets().get(opened.set_key)
         if file is not None:
             record = self._archive.read_set(file, skip_damaged=True)
@@ -120,7 +120,7 @@ class CarriedOver:
         self._persistence.after_set(opened.set_key)
 
     def quarantine_corrupt_files(self) -> None:
-        """Let no corrupt file without rows block the start: its set is due again, or missed."""
+        """Move corrupt files without rows to the quarantine: each set is due again, or missed."""
         for set_key, file in list(self._rowless_files.items()):
             try:
                 reason = foreign_reason(self._archive.read_set(file), self._catalogue.experiment_row())
@@ -132,7 +132,7 @@ class CarriedOver:
                 self.corruption_of[set_key] = f"its file was damaged and is set aside ({error})"
 
     def adopt(self, due: DueSet) -> int | None:
-        """Give a file its rows: the last recorder died between rename and commit.
+        """Store the rows of a file whose recorder ended between rename and commit.
 
         Returns
         -------

@@ -26,7 +26,7 @@ def until_clock_is_believed(
     not_running_reason: str,
     opening: Opening | None,
 ) -> list[tuple[int, str]]:
-    """Let time stand still while it is doubted; return until when (ns of UTC) sets were missed and why.
+    """Wait until the clock is verified; return until when (ns of UTC) sets were missed, and the reason.
 
     The list is in order of time.
     """

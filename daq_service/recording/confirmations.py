@@ -74,7 +74,7 @@ class Confirmations:
             self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
 
     def take_rows(self, stored: Transaction) -> None:
-        """Take in what came of it, once that is stored."""
+        """Update the requests and results with the stored rows of a set."""
         for row in stored.sets:
             if row.purpose == "confirmation":
                 self.waiting.pop(row.set_key, None)
@@ -82,7 +82,7 @@ class Confirmations:
                 self.last_results[row.position] = summarize_confirmation(row, assessment)
 
     def room_ns(self, planned: DueSet, utc_ns: int) -> float:
-        """Time that is left until the planned set after one."""
+        """Return the time in ns from now to the scheduled set that follows a planned one."""
         following = self._hours[planned.set_index + 1 : planned.set_index + 2]
         left_h = following[0] - planned.due_h if following else float("inf")
         return planned.due_utc_ns + left_h * NS_PER_H - utc_ns

@@ -95,7 +95,7 @@ class DueSets:
             yield due
 
     def _adopted(self, due: DueSet) -> bool:
-        """Give a file of the last recorder its rows; simulated time goes on where its set ended."""
+        """Store the rows of a file of the last recorder; simulated time continues where its set ended."""
         ended_ns = self._carried_over.adopt(due)
         if ended_ns is not None:
             self._clock.wait_until(ended_ns, self._waiting.between_sets)
@@ -112,7 +112,7 @@ class DueSets:
         return True
 
     def _calibrate_before(self, due: DueSet) -> None:
-        """Let the boards calibrate themselves between sets, as often as configured."""
+        """Start the self-calibration of the boards between sets, at the configured interval."""
         self_calibrating, interval_h = self._rig.self_calibrating, self._rig.self_calibration_interval_h
         if self_calibrating is None or not interval_h:
             return

@@ -71,7 +71,7 @@ def _of_the_files(archive: SetReader) -> ExperimentRow | None:
 
 
 def foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
-    """Say why a set is not of this experiment; empty: it is."""
+    """Return the reason why a set is not of this test; empty if it is."""
     stored = record.provenance.get("configuration_hash", experiment.configuration_hash)
     if stored != experiment.configuration_hash:
         return f"configuration {stored} instead of {experiment.configuration_hash}"
@@ -109,7 +109,7 @@ def refuse_foreign(found: Sequence[str], where: str) -> None:
 
 
 def refuse_foreign_open_set(opened: OpenSet, planned: Sequence[DueSet], where: str) -> None:
-    """Refuse a set that was left open by another experiment: it is due at another time.
+    """Raise an error for an open set of another test, which is due at another time.
 
     Raises
     ------

@@ -45,7 +45,7 @@ class Opening:
 
 
 def is_transient(trouble: InstrumentError, *, proven: bool) -> bool:
-    """Whether the next set may go better.
+    """Return whether an error may be gone at the next set.
 
     A board that is busy or gone may be free or back by then; of one that has taken a complete set in this
     folder (``proven``) no error is final.
@@ -71,7 +71,7 @@ class OpeningAlarm:
         self._reported = False
 
     def carry(self, trouble: InstrumentError | None) -> None:
-        """Tell what stands in the way, None: nothing any more; the alarm as far as the disk takes it."""
+        """Report what prevents the opening, None: nothing; store the alarm if the disk permits."""
         condition, moment = opening_condition(trouble), self._moment()
         try:
             change = self._carried(condition, moment)

@@ -95,7 +95,7 @@ class Persistence:
         return stored
 
     def after_set(self, set_key: SetKey) -> None:
-        """Let the background tasks know of a set whose rows are stored, so that it gets its file."""
+        """Notify the background tasks of a set whose rows are stored: its file can be written."""
         for task in self._tasks:
             task.after_set(set_key)
 
@@ -164,7 +164,7 @@ class Persistence:
             self.on_change(None)
 
     def _refusal(self) -> str:
-        """Why nothing is stored though the disk would take it; a stop may use the space that is left."""
+        """Return the reason why nothing is stored on a writable disk; a stop may use the remaining space."""
         return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
 
     def _wait(self, message: str) -> None:

@@ -15,7 +15,7 @@ PACKAGES = ("solimon", "numpy", "scipy", "h5py", "numba")
 
 
 def provenance(settings: Settings, rig: Rig, *, experiment: ExperimentRow) -> dict[str, Any]:
-    """JSON-ready; the same for every set of a run.
+    """Return the provenance that is stored with every set of a run, ready for JSON.
 
     Parameters
     ----------

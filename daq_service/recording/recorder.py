@@ -97,7 +97,7 @@ class Recorder:
         return self._end()
 
     def _take(self, due: DueSet) -> None:
-        """Take a set through the stages."""
+        """Acquire a set and pass it through all stages."""
         if hindrance := self._hindrance(due):
             self._record_gap(due, hindrance)
             return
@@ -127,7 +127,7 @@ class Recorder:
             ) from taken.trouble
 
     def _finish(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
-        """Take a set of records through the stages that the disk may refuse: they wait for it."""
+        """Pass acquired records through the stages that write to disk; they wait while the disk refuses."""
         self.waiting.announce(f"storing {_name_of(due)}")
         reason = self._carried_over.corruption_of.get(due.set_key, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
@@ -174,7 +174,7 @@ class Recorder:
         features: Mapping[int, ShotFeatures],
         load: Mapping[str, Any] | None,
     ) -> Transaction:
-        """Make the set durable, then assess it: rows, alarms and events of one transaction."""
+        """Write the set durably, then assess it; return rows, alarms and events as one transaction."""
         stored = self._persistence.store(record)
         self._cost.add_set(asdict(stored.timings))
         self.waiting.doing = f"assessing {_name_of(due)}"
@@ -196,7 +196,7 @@ class Recorder:
         self._persistence.after_set(due.set_key)
 
     def _hindrance(self, due: DueSet) -> str:
-        """State why a set that is due is not taken; empty: it is."""
+        """Return the reason why a due set is not acquired; empty if it is."""
         if reason := self._due_sets.hindrance(due):
             return reason
         if self._commands.paused or self._persistence.trouble is None or self._persistence.has_room:
@@ -204,7 +204,7 @@ class Recorder:
         return f"the memory for what waits is full: {self._persistence.trouble.message}"
 
     def _record_gap(self, due: DueSet, reason: str) -> None:
-        """Take no strike of a set: store what an open one holds, else write gap rows."""
+        """Record a set without a strike: store the records of an open set, or else rows of a gap."""
         opened = self._carried_over.open_sets.pop(due.set_key, None)
         if opened is not None and opened.records:
             self._finish(due, self._acquisition.resume(opened), cut_short_reason=reason)

@@ -127,24 +127,24 @@ class Resources:
 
     @property
     def tasks(self) -> list[BackgroundTask]:
-        """Work between sets."""
+        """Return the tasks between sets."""
         tasks = (self.finalizer, self.verification, self.disk, *self.further_tasks)
         return [task for task in tasks if task is not None]
 
     @cached_property
     def epoch_ns(self) -> int:
-        """Hour 0 of the test (UTC)."""
+        """Return hour 0 of the test in ns of UTC."""
         return self.catalogue.experiment_row().epoch_utc_ns
 
     @cached_property
     def plan(self) -> Sequence[DueSet]:
-        """Every scheduled set; the set of index k is the k-th."""
+        """Return every scheduled set; the set of index k is the k-th."""
         schedule = self.settings.schedule
         return plan(schedule.phases, self.epoch_ns, end_h=schedule.end_h)
 
     @property
     def in_real_time(self) -> bool:
-        """Whether time goes on while the recorder waits."""
+        """Return whether the clock of the test advances while the recorder waits."""
         return self.settings.clock.kind == "wall"
 
     def moment(self) -> Moment:

@@ -56,7 +56,7 @@ def time_before(
 
 
 def hour_0(system_ns: int) -> int:
-    """Let a test in real time begin now.
+    """Return hour 0 of a test in real time that starts now, in ns of UTC.
 
     Raises
     ------

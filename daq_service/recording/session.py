@@ -74,7 +74,7 @@ def record(
     options: SessionOptions = PLAIN,
     host: Host = THIS_COMPUTER,
 ) -> bool:
-    """Follow the schedule to its end; the caller owns the folder.
+    """Record a test to the end of its schedule; the caller holds the lock of the folder.
 
     Returns
     -------
@@ -209,7 +209,7 @@ def _with_background_tasks(
 
 
 def _note_rebuilt(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], epoch_ns: int) -> None:
-    """Note that the catalogue was lost and made again, at the time of its newest event."""
+    """Store the event that the catalogue was lost and rebuilt, at the time of its newest event."""
     newest = catalogue.events_after(catalogue.last_event_id() - 1, limit=1)
     now_ns = newest[0].utc_ns if newest else epoch_ns
     catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=rebuilt)
@@ -218,7 +218,7 @@ def _note_rebuilt(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], epoch_n
 def _note_file(
     catalogue: RecorderCatalogue, history: HistoryFollower, set_key: SetKey, file: str, sha256: str
 ) -> None:
-    """Note the SHA-256 of the file of a set."""
+    """Store the SHA-256 of the file of a set."""
     catalogue.set_digest(set_key, file, sha256)
     history.note_digest(file, sha256)
 
@@ -241,7 +241,7 @@ def _rebuilt_if_lost(settings: Settings, folder: Path, heartbeat: Heartbeat) -> 
 def _note_digests(
     catalogue: RecorderCatalogue, archive: Archive, note_file: Callable[[SetKey, str, str], None]
 ) -> None:
-    """Note the SHA-256 of files that a crash kept from being noted; a whole older folder's come when idle."""
+    """Store the SHA-256 of files that a crash left without one; those of an older folder follow when idle."""
     for set_key, file in sorted(catalogue.without_digest().items())[-NOTED_AT_ONCE:]:
         sha256 = archive.digest(SetReference(file))
         if sha256 is not None:
@@ -249,14 +249,14 @@ def _note_digests(
 
 
 def longest_call_s(settings: Settings) -> float:
-    """Longest a bounded call of an instrument may take; what has no bound of its own is not counted."""
+    """Return the longest time in s of an instrument's call that has a timeout."""
     rig = settings.rig
     longest_s = max(item.kind.longest_call_s(item.parameters) for item in configured(settings))
     return max(rig.read_timeout_s, longest_s)
 
 
 def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
-    """Hour 0 of this folder's experiment; a new folder is given to this configuration."""
+    """Return hour 0 (ns of UTC) of this folder's test; create the test in a new folder."""
     with suppress(NoDataYetError):
         row = catalogue.experiment_row()
         if row.solimon_version != version("solimon"):
@@ -278,7 +278,7 @@ def _experiment_epoch(catalogue: RecorderCatalogue, settings: Settings) -> int:
 
 
 def _separate_copy(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int) -> None:
-    """Give a backup that continues the test a UUID of its own; the original keeps its UUID."""
+    """Assign a new UUID to a backup that continues the test; the original keeps its UUID."""
     row, original = catalogue.experiment_row(), backup_identity(folder)
     if original is None or original.get("uuid") != row.uuid:
         return
@@ -292,7 +292,7 @@ def _separate_copy(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int) ->
 
 
 def _resume_utc_ns(catalogue: RecorderCatalogue, archive: Archive, epoch_ns: int) -> int:
-    """Where a simulated clock goes on: at the end of the last committed set, or within an open one."""
+    """Return the time (ns of UTC) at which a simulated clock continues: that of the last stored record."""
     opened = [item.last_utc_ns for item in archive.open_sets().values()]
     ended_ns = catalogue.last_ended_utc_ns()
     return max([*opened, *([] if ended_ns is None else [ended_ns])], default=epoch_ns)
@@ -305,7 +305,7 @@ def _store_stop(
     moment: Moment,
     unsupervised: threading.Event,
 ) -> None:
-    """Say that a recorder was stopped before its rig could be opened."""
+    """Store the event that a recorder was stopped before its rig was open."""
     heartbeat.stage = "ended"
     heartbeat.beat("leaving", at_once=True)
     alone = unsupervised.is_set()

@@ -120,7 +120,7 @@ class SetAssessor:
         return position_result.conditions
 
     def disabled(self) -> dict[str, str]:
-        """Transducers that strike no more, and why."""
+        """Return the disabled transducers, each with the reason."""
         return disabled_positions(self.alarms.values())
 
     def assessed(
@@ -209,7 +209,7 @@ class SetAssessor:
         )
 
     def positions_of(self, due: DueSet) -> list[str]:
-        """Positions that a set is of."""
+        """Return the positions of a set."""
         return list(self._settings.positions) if due.position is None else [due.position]
 
     def order_confirmation(
@@ -234,7 +234,7 @@ class SetAssessor:
             self.commit(transaction)
 
     def expire_shelves(self, moment: Moment) -> None:
-        """Tell again of alarms whose shelves have expired, on the test's clock or in real time."""
+        """Notify again of alarms whose shelves have expired, on the test's clock or in real time."""
         shelved = [row for row in self.alarms.values() if row.suppressed == "shelved"]
         changes = [change for row in shelved if (change := end_expired_shelf(row, moment, time.time_ns()))]
         if changes:
@@ -280,7 +280,7 @@ class SetAssessor:
             log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
 
     def take_stored(self, event: EventRow) -> None:
-        """Take in since when an alarm is held back and what is asked for, once that is stored."""
+        """Update alarm delays and requested sets from a stored event."""
         self.confirmations.take_event(event)
         if event.kind == DELAY_EVENT:
             payload = event.payload
@@ -316,7 +316,7 @@ class SetAssessor:
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
 
     def publish(self, transaction: Transaction) -> None:
-        """Take over what was stored, and report its alarms and gaps."""
+        """Update the state with a stored transaction, and report its alarms and gaps."""
         for event in transaction.events:
             self.take_stored(event)
         self.confirmations.take_rows(transaction)

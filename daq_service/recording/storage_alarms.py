@@ -39,7 +39,7 @@ class StorageAlarms:
             self._disk.on_change = self._report_space
 
     def overdue_reason(self, due_utc_ns: int) -> str:
-        """State why the time of a set went by: the disk or the catalogue refused, or the computer slept."""
+        """Return the reason why the time of a set passed: disk, catalogue, or sleep of the computer."""
         is_over = self._persistence.trouble is None and self._trouble_until_ns < due_utc_ns
         return OVERSLEPT if is_over else f"the recorder waited for the disk: {self._reported_trouble}"
 

@@ -70,7 +70,7 @@ class Waiting:
         return self.within_set()
 
     def within_set(self) -> bool:
-        """Beat and look, also between shots: nothing else advances the heartbeat."""
+        """Update the heartbeat and check for requests, also between shots."""
         if isinstance(self._clock, WallClock):
             for step in self._clock.steps():
                 log.warning("%s", step.message)
@@ -96,19 +96,19 @@ class Waiting:
                 job()
 
     def until_stored(self) -> None:
-        """Let nothing go on before everything is stored, but a stop."""
+        """Wait until everything is stored, or until a stop."""
         while self._persistence.trouble is not None and self.between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s)
         self.storage.use_reserve()
 
     def for_worker(self) -> None:
-        """Let no simulated time outrun the files: journal and memory would grow with the test."""
+        """Wait for the files of earlier sets in simulated time, or journal and memory would grow."""
         finalizer = self._resources.finalizer
         while finalizer is not None and finalizer.n_under_way > MOST_UNDER_WAY and self.between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s / 10.0)
 
     def for_files(self) -> None:
-        """At the end of a test its last sets get their files; after a stop the next recorder sees to that."""
+        """Wait for the files of the last sets at the end of a test, but not after a stop."""
         finalizer, host, stop = self._resources.finalizer, self._resources.host, self._resources.stop
         if finalizer is None or stop.is_set():
             return

@@ -123,7 +123,7 @@ def _with_absolute_files(values: Tables, path: Path) -> Tables:
 
 
 def _refuse_unknown_variables() -> None:
-    """Refuse a misspelt table in a variable's name; its keys are checked with those of the file."""
+    """Raise an error for a misspelt table in a variable's name; keys are checked with those of the file."""
     tables = {f"SOLIMON_{name.upper()}" for name in Settings.model_fields}
     for name in sorted(os.environ):
         if name.startswith("SOLIMON_") and not name.startswith(NOT_SETTINGS):

@@ -60,7 +60,7 @@ def all_in_one_line(values: Any) -> Any:
 
 
 def spreadsheet_cell(text: str) -> str:
-    """Put an apostrophe in front of a text that a spreadsheet would execute."""
+    """Return a text with a leading apostrophe if a spreadsheet would execute it."""
     return f"'{text}" if _FORMULA.match(text) else text
 
 

@@ -109,7 +109,7 @@ def _describe(path: Path, file: TdmsFile, group: TdmsGroup, channel: TdmsChannel
 
 
 def _raw_values(channel: TdmsChannel, first: int, n_samples: int) -> NDArray[np.generic]:
-    """Return raw values: npTDMS scales none."""
+    """Return the unscaled values of some samples."""
     values = channel.read_data(offset=first, length=n_samples, scaled=False)
     if isinstance(values, dict):
         if len(values) != 1:

@@ -203,7 +203,7 @@ class Brain:
     # Calls
 
     def call(self, client: str, function: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """Carry out one call and record it.
+        """Execute one call and record it.
 
         Raises
         ------
@@ -279,7 +279,7 @@ class Brain:
             device_calls.unplug(self.bench, serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Put a board back, under another name if one is given."""
+        """Plug a board in again, under another name if one is given."""
         if self.niscope.has(serial_number):
             self.niscope.plug(serial_number, name)
             return

@@ -277,7 +277,7 @@ def _strike_twice(
     step: float,
     speed: float,
 ) -> float:
-    """Bounce the striker of lane `k` onto the body below at step `n`; return the added energy.
+    """Apply a second impact of the striker of lane `k` at step `n`; return the added energy in J.
 
     It was taken off before: its contact is open and has an open past. The impulse that it gave stays with
     the body below.
@@ -415,7 +415,7 @@ def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: 
 
 @_step
 def _move(bodies: Bodies, size: int, width: int, h24: float) -> None:
-    """Correct velocities and displacements of all bodies but the last."""
+    """Apply the Adams-Moulton step to velocities and displacements of all bodies but the last."""
     for k in range(0, size, BLOCK):
         v = load(bodies.given, k, BLOCK) - load(bodies.given, k + width, BLOCK)
         v = v * load(bodies.per_mass, k, BLOCK)

@@ -71,22 +71,22 @@ class JournaledSet:
 
     @property
     def reference(self) -> SetReference | None:
-        """Reference of its future file; None before its end."""
+        """Return the reference of its future file; None before its end."""
         return None if self.end is None else set_reference(self.set_key, self.end["due_utc_ns"])
 
     @property
     def is_whole(self) -> bool:
-        """Whether it has an end and every record is sound."""
+        """Return whether the set has an end and every record is intact."""
         return self.end is not None and not self.damages()
 
     @property
     def n_bytes(self) -> int:
-        """Size of its counts in bytes."""
+        """Return the size of the counts of all its records in bytes."""
         return sum(len(frame.counts) for frame in self.shots.values())
 
     @property
     def has_records(self) -> bool:
-        """Whether it has a sound record."""
+        """Return whether the set has an intact record."""
         return bool(self.shots)
 
     def sequence_of(self, position: str, shot_index: int) -> int | None:

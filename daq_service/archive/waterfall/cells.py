@@ -52,7 +52,7 @@ class Frame:
 
     @property
     def cell_s(self) -> float:
-        """Duration of a cell in s."""
+        """Return the duration of a cell in s."""
         return self.width / self.sample_rate_hz
 
     @property

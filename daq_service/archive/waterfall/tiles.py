@@ -143,7 +143,7 @@ class Tiles:
 
     @property
     def _slot_bytes(self) -> int:
-        """Size of a row's slot in bytes."""
+        """Return the size of a row's slot in bytes."""
         return slot_bytes(self.frame.n_cells)
 
     def _path(self, width: int, tile: int) -> Path:

@@ -42,7 +42,7 @@ class Row:
 
     @property
     def deviation_shown(self) -> str:
-        """Text of the deviation."""
+        """Return the deviation as text."""
         if self.deviation is None:
             return "-"
         if _vanishes(self.deviation, self.paper):

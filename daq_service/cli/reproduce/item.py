@@ -125,14 +125,14 @@ class Material:
 
     @property
     def test(self) -> Evidence:
-        """The test's evidence, for an item that needs it."""
+        """Return the evidence of the test, for an item that needs it."""
         if self.evidence is None:
             raise NotAvailableError("no test was run or read")
         return self.evidence
 
     @property
     def transducers(self) -> list[str]:
-        """Names of the test's solitary-wave transducers, of which the item needs one."""
+        """Return the names of the solitary-wave transducers of the test, of which the item needs one."""
         if not self.test.pulses:
             raise NotAvailableError("the test has no solitary-wave transducer")
         return list(self.test.pulses)
@@ -181,5 +181,5 @@ class Item:
 
     @property
     def caption(self) -> Caption:
-        """Title and text below it."""
+        """Return title and caption."""
         return TEXTS.captions[self.name]

@@ -48,7 +48,7 @@ class _Fit:
 
     @property
     def values(self) -> dict[str, float]:
-        """Value at hour 0, at the last point, and change in per cent."""
+        """Return the values at hour 0 and at the last point, and the change in percent."""
         start, end = self.trend.constant, float(self.trend.at(self.last_h))
         return {"start": start, "end": end, "change": 100.0 * (end / start - 1.0)}
 

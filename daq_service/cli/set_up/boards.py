@@ -32,7 +32,7 @@ class Boards:
         return self.bench.transducers
 
     def introduce(self, flags: Flags, *, asks: bool) -> None:
-        """Take drop height and pulse from the flags, or ask for them."""
+        """Return drop height and pulse from the options, or ask for them."""
         for name, text, bounds in (
             ("drop_height_m", "Height from which the strikers fall, m", (0.0, 1.0)),
             ("pulse_s", "Time a coil is on, s (it lifts the striker)", (1e-3, 0.5)),
@@ -118,7 +118,7 @@ class Boards:
                 self.bench.strike(position)
 
     def conclude(self, *, asks: bool) -> None:
-        """Present the values that the strikes propose."""
+        """Propose values from the strikes."""
         assess_strikes(self.dialogue, self.bench, asks=asks)
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:

@@ -155,7 +155,7 @@ class Dialogue:
             threading.Thread(target=self._lines_of, args=(sys.stdin,), name="terminal", daemon=True).start()
 
     def _lines_of(self, stream: TextIO) -> None:
-        """Put the lines of a stream into the queue of answers."""
+        """Add the lines of a stream to the queue of answers."""
         typed = stream.isatty()
         for line in stream:
             # What a person typed to an earlier question, or while the rig was at work, answers no later one.

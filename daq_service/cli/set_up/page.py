@@ -31,12 +31,12 @@ class Scope(Protocol):
 
     @property
     def position(self) -> str | None:
-        """Transducer that is set up now."""
+        """Return the position of the transducer that is set up now."""
         ...
 
     @property
     def strikes(self) -> int:
-        """How many there were so far."""
+        """Return the number of strikes so far."""
         ...
 
     def watch(self) -> tuple[str | None, Waveform | None]:

@@ -57,7 +57,7 @@ class Instruments(Protocol):
         """Strike each without a question."""
 
     def conclude(self, *, asks: bool) -> None:
-        """Present what the strikes propose."""
+        """Propose values from the strikes."""
 
     def contents(self, others: Tables, off: set[KeyPath]) -> Contents:
         """Return values, switched-off tables and head of the file; `others` are further tables of [rig]."""

@@ -22,7 +22,7 @@ REMEDIES: Mapping[Trouble, str] = {
 
 
 def assess_strikes(dialogue: Dialogue, bench: Bench, *, asks: bool) -> None:
-    """Present the proposal of the strikes, and accept it or the values of a person."""
+    """Propose values from the strikes; return them, or those that the person enters."""
     proposal = bench.proposal()
     if proposal is None:
         dialogue.report("nothing was struck: level, slope, ranges and holdoff are not yet your rig's own")

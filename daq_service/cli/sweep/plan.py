@@ -64,7 +64,7 @@ class Plan:
 
     @property
     def identity(self) -> str:
-        """SHA-256 that another sweep, or another version of the code, does not have."""
+        """Return the SHA-256 of the sweep and of the code that computes it."""
         rows = [[row.key or row.reason, [_plain(value) for value in row.values]] for row in self.rows]
         return _sha256([self.model, self.keys, self.waveforms, rows, code_version()])
 
@@ -115,7 +115,7 @@ def make_plan(
 
 
 def describe(keys: Sequence[str], row: Row) -> str:
-    """Name a row by its number and values."""
+    """Return the description of a row: its number and values."""
     values = ", ".join(f"{key} = {value}" for key, value in zip(keys, row.values, strict=True))
     return f"row {row.index + 1} ({values})"
 

@@ -46,7 +46,7 @@ class SweepTable:
 
     @property
     def columns(self) -> dict[str, Column]:
-        """All columns in the order of the file."""
+        """Return all columns in the order of the file."""
         return {**self.swept, **self.results, "status": self.status}
 
     def rows(self) -> list[dict[str, object]]:

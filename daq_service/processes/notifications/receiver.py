@@ -295,7 +295,7 @@ class ReceiverQueue:
 
     @property
     def _logs_each_heartbeat(self) -> bool:
-        """Whether each heartbeat is logged: only long intervals, which then also hold across restarts."""
+        """Return whether each heartbeat is logged; long intervals are, so that they hold across restarts."""
         return (self._receiver.heartbeat_s or 0.0) >= SHORTEST_FOR_PEOPLE_S
 
     def _resume_heartbeat(self) -> None:

@@ -113,7 +113,7 @@ class Explained:
 
     @property
     def agrees(self) -> bool | None:
-        """True if all values agree; None if the alarm does not follow from records."""
+        """Return whether all values agree; None if the alarm does not follow from records."""
         return None if self.again is None else not self.again.differences
 
 

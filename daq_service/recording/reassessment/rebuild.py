@@ -156,7 +156,7 @@ def _catalogue(folder: Path) -> Salvaged:
 
 
 def _replace(folder: Path, place: Path) -> str:
-    """Put the new catalogue in the place of the old one, whose name is returned."""
+    """Replace the old catalogue by the new one; return the new name of the old one."""
     new, path = place / FILE_NAME, folder / FILE_NAME
     _sync(new)
     kept = f"catalogue-replaced-{datetime.now(UTC):%Y%m%dT%H%M%S%f}Z.sqlite"

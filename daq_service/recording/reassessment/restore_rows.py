@@ -243,7 +243,7 @@ class _Restoration:
         transaction.assessments = completed
 
     def _completed_sets(self, stored: Sequence[SetRow], left_out: Mapping[str, str]) -> list[SetRow]:
-        """Complete the stored rows: a position that a set leaves out, for a reason, has no event."""
+        """Complete the rows of a set; a position that the set left out has no event."""
         rows = {row.position: row for row in stored}
         of_the_plan = stored and stored[0].purpose is None
         for position, reason in left_out.items() if of_the_plan else ():

@@ -182,7 +182,7 @@ class AuthenticationMiddleware:
         await problem_response(scope, problem)(scope, receive, send)
 
     async def _pass_on(self, scope: Scope, receive: Receive, send: Send) -> None:
-        """Pass a request on, and audit an invalid write."""
+        """Forward a request to the application, and audit an invalid write."""
         statuses: list[int] = []
 
         async def send_observed(message: Message) -> None:

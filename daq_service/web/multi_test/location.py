@@ -45,7 +45,7 @@ class AbsentError(SolimonError):
 
     @property
     def remedy(self) -> str:
-        """Remedy for the state."""
+        """Return the remedy for the state."""
         return REMEDIES[self.state]
 
 

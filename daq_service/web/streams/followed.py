@@ -40,7 +40,7 @@ class Followed:
 
     @property
     def closed(self) -> bool:
-        """True once clients must end."""
+        """Return whether clients must end."""
         return self._closed
 
     async def changed(self) -> None:
@@ -58,7 +58,7 @@ class Followed:
                 waiter.set_result(None)
 
     def _follow(self) -> None:
-        """Body of the thread, until `_stop` is set."""
+        """Follow in this thread until `_stop` is set."""
         raise NotImplementedError
 
     def _pass_on(self, function: Callable[..., None], *arguments: object) -> None:

@@ -94,7 +94,7 @@ class EventHub(Followed):
 
     @property
     def complete_after(self) -> int | None:
-        """Id after which the ring is complete; None until the thread has started."""
+        """Return the id after which the ring buffer is complete; None until the thread has started."""
         return self._complete_after
 
     @property
@@ -108,7 +108,7 @@ class EventHub(Followed):
         return self._events[first : None if limit is None else first + limit]
 
     async def yield_turn(self) -> None:
-        """Give way to live events and other requests for a moment."""
+        """Yield to live events and other requests for a moment."""
         async with self._turns:
             await asyncio.sleep(TURN_S)
 

@@ -42,7 +42,7 @@ class TableKind:
 
     @property
     def columns(self) -> tuple[PublishedColumn, ...]:
-        """All columns of the table."""
+        """Return all columns of the table."""
         return described_columns(self.row)
 
 
@@ -76,14 +76,14 @@ class Choice:
 
     @property
     def columns(self) -> tuple[PublishedColumn, ...]:
-        """Selected columns, in the order of the table."""
+        """Return the selected columns, in the order of the table."""
         all_columns = TABLES[self.table].columns
         wanted = {column.name for column in all_columns} if self.fields is None else {*self.fields, *ALWAYS}
         return tuple(column for column in all_columns if column.name in wanted)
 
     @property
     def name(self) -> str:
-        """Name of the exported file, without suffix."""
+        """Return the name of the exported file, without suffix."""
         is_planned = self.purpose == "planned"
         return "_".join(filter(None, (self.table, self.position, None if is_planned else self.purpose)))
 

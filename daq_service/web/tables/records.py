@@ -61,7 +61,7 @@ class RecordChoice:
 
     @property
     def name(self) -> str:
-        """Name of the exported file, without suffix."""
+        """Return the name of the exported file, without suffix."""
         sets = [f"{index:06d}" for index in (self.first_set, self.last_set) if index is not None]
         return "_".join(["waveforms", self.position, *dict.fromkeys(sets)])
 

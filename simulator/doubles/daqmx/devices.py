@@ -96,7 +96,7 @@ class Devices:
         self.by_serial(serial_number).plugged = False
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Put a board back, usually under another name."""
+        """Plug a board in again, usually under another name."""
         device = self.by_serial(serial_number)
         self._former_names.add(device.name.casefold())
         device.name = name or device.name

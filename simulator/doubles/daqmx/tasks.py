@@ -333,7 +333,7 @@ def _halt(bench: Bench, task: Task) -> None:
 
 
 def control(bench: Bench, task: Task, action: int) -> None:
-    """Carry out `DAQmxTaskControl`."""
+    """Execute `DAQmxTaskControl`."""
     match action:
         case Action.START:
             start(bench, task)

@@ -45,7 +45,7 @@ class Countdown:
     expired_ns: int | None = None
 
     def settle(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Let the timer expire at its own time, independent of calls."""
+        """Expire the timer at its own time, independent of calls."""
         if self.expired_ns is not None or self.begin_ns is None or self.timeout_s == NEVER:
             return
         deadline_ns = self.begin_ns + round(self.timeout_s * NS_PER_S)

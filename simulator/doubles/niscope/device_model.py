@@ -85,7 +85,7 @@ class NiscopeBrain:
             self._changed.notify_all()
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Put a board back, under another name if one is given."""
+        """Plug a board in again, under another name if one is given."""
         with self._changed:
             board = self._unplugged.pop(serial_number)
             board = dataclasses.replace(board, name=name or board.name)

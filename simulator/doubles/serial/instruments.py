@@ -107,7 +107,7 @@ class SerialInstruments:
 
 
 def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[str, Any]:
-    """Carry out the command of one JSON line on standard input.
+    """Execute the command of one JSON line on standard input.
 
     ``{"do": "unplug" | "plug" | "clear_faults", "instrument": "supply" | "climate"}``;
     ``{"do": "inject", "instrument": ..., "silent": true, "slow_s": 0.5, "hold": 1, "garbage": 1}``;

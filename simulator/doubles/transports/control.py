@@ -111,7 +111,7 @@ class DoublesControl:
         self._ask("unplug", serial_number=serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Put a board back, under another name if one is given."""
+        """Plug a board in again, under another name if one is given."""
         self._ask("plug", serial_number=serial_number, name=name)
 
     def occupy(self, resource: str, owner: str) -> None:

@@ -38,7 +38,7 @@ class _Connection(socketserver.StreamRequestHandler):
 
 
 def obey(brain: Brain, request: Mapping[str, Any]) -> Any:
-    """Carry out one request.
+    """Execute one request.
 
     Raises
     ------

@@ -281,7 +281,7 @@ def _without_patch(corrosion: CorrosionParameters) -> CorrosionParameters:
 
 
 def passive_modes(modes: PlateModes) -> PlateModes:
-    """Turn the fastest modes into residual compliance until it is no longer negative.
+    """Convert the fastest modes to residual compliance until it is no longer negative.
 
     A negative compliance in series with the contact's dashpot feeds energy in, and the explicit
     integration of a shot diverges with a fine step or a strong dashpot. The fastest modes hold the

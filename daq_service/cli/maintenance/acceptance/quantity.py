@@ -80,7 +80,7 @@ class Table:
 
     @property
     def text(self) -> TableText:
-        """Title, columns, and the text of an empty table."""
+        """Return title, columns, and the text of an empty table."""
         return TEXTS.tables[self.name]
 
 
@@ -114,7 +114,7 @@ class Series:
 
     @property
     def text(self) -> SeriesText:
-        """Title, unit and source."""
+        """Return title, unit and source."""
         return TEXTS.series[self.name]
 
 

@@ -27,7 +27,7 @@ class Gap:
 
     @property
     def hours(self) -> float:
-        """Length in h."""
+        """Return the length in h."""
         return self.until_h - self.from_h
 
 
