@@ -100,6 +100,7 @@ class RecordsAhead:
         return self._specimen.solitary_wave(key, hour_h(utc_ns))
 
     def _record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
+        """Return the record of a strike, and start those of the strikes to come."""
         strike = key, hour_h(utc_ns)
         expected = list(self._pending)
         pending = self._pending.pop(strike, None)

@@ -163,6 +163,7 @@ class Specimen:
         return self._strike(key, hour_h, faults, self.nuisance(key, hour_h, faults))
 
     def _strike(self, key: ShotKey, hour_h: float, faults: ShotFaults, found: ShotNuisance | None) -> Strike:
+        """Draw the strike of a shot with scatter, variability and faults."""
         chain, sensor = self.transducers[key.position].chain, self.twin.sensor
         strike = scattered_strike(
             key,
@@ -243,6 +244,7 @@ class Specimen:
         return (forces[number] for number in range(len(blows)))
 
     def _force_alone(self, model: SolitaryWaveModel, blow: _DrawnStrike) -> tuple[ShotForce, ShotForce]:
+        """Return the force of one shot of a model without batches, and that without variability."""
         if blow.faults.double_delay_s is not None:
             raise SpecimenError(
                 f"double is a second impact on the chain of a ShotModel; this one is a "

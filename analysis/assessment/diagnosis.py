@@ -97,5 +97,6 @@ def diagnose_confirmation(
 def _diagnose(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis]:
+    """Diagnose the newest set; return the next state and the diagnosis."""
     assessment = diagnosis_of(memory, design, suspicious=suspicious)
     return state_with_diagnosis(memory, assessment), assessment

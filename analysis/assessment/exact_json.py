@@ -33,6 +33,7 @@ def from_json(kind: type[T], *texts: str) -> T:
 
 
 def _encoded(value: object) -> object:
+    """Return the JSON form of an array or a dataclass."""
     if isinstance(value, np.ndarray):
         assert value.flags.c_contiguous, "in another order sums would be rounded otherwise"
         content = base64.b64encode(value.tobytes()).decode()
@@ -43,6 +44,7 @@ def _encoded(value: object) -> object:
 
 
 def _decoded(kind: Any, value: Any) -> Any:
+    """Return a value of a type from its JSON form."""
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         (kind,) = (argument for argument in arguments if argument is not NoneType)

@@ -261,6 +261,7 @@ def step(state: State, set_of_shots: SetOfShots, rules: Rules) -> tuple[State, S
 def _with_diagnosis(
     assessment: SetAssessment, set_of_shots: SetOfShots, state: State, rules: Rules, *, suspicious: bool
 ) -> SetAssessment:
+    """Add the diagnosis of a scheduled set to its assessment, where the baseline supports one."""
     parameters = None if state.baseline is None else state.baseline.causes
     if parameters is None or assessment.memory is None:
         return assessment
@@ -330,6 +331,7 @@ def _minimum_sets(rules: Rules) -> int:
 
 
 def _remedy(rules: Rules) -> str:
+    """Return the remedy for a baseline with too few sets."""
     n_planned = 1 + rules.last_baseline_set - rules.first_baseline_set
     if n_planned < _minimum_sets(rules):
         return f"only {n_planned} are planned: begin a new test with more baseline.hours"
@@ -337,6 +339,7 @@ def _remedy(rules: Rules) -> str:
 
 
 def _assess(set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
+    """Assess a set with a frozen baseline; give the reason if that is not possible."""
     if baseline.fitted is None:
         return SetAssessment(reason=baseline.reason)
     values = set_of_shots.vector()

@@ -108,6 +108,7 @@ Signature = tuple[FloatArray, FloatArray]
 
 
 def _weighted(cause: str, signatures: Sequence[Signature], *, abrupt: float) -> list[Hypothesis]:
+    """Return the hypotheses of one cause, which share its prior probability."""
     return [
         Hypothesis(
             cause=cause,

@@ -186,6 +186,7 @@ def fit_baseline(
 
 
 def _warnings(n: int, suspects: tuple[int, ...]) -> tuple[str, ...]:
+    """Return the warnings about a small baseline and about suspect sets."""
     warnings = []
     if n < ADVISED_SETS:
         warnings.append(f"baseline of {n} sets, {ADVISED_SETS} advised: the false-alarm rate is uncertain")

@@ -11,6 +11,7 @@ from analysis.waves.record_reduction import FloatArray
 
 
 def _standardised(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
+    """Return vectors in standard deviations from the mean of a baseline, shape (..., p)."""
     x = np.asarray(vectors, dtype=np.float64)
     if x.shape[-1:] != (baseline.p,):
         raise InvalidInputError(

@@ -168,6 +168,7 @@ def typical_tails(baselines: Sequence[FloatArray]) -> float:
 
 
 def _kurtosis(x: FloatArray) -> float | None:
+    """Return Mardia's kurtosis of rows, 1 for a normal distribution; None for too few rows."""
     n, p = x.shape
     if n < MINIMUM_SETS:
         return None

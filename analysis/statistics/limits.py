@@ -38,6 +38,7 @@ class Limit:
 
 
 def _check(n: int, p: int) -> None:
+    """Raise an error for numbers of sets and features without a limit."""
     if p < 1:
         raise InvalidInputError(f"p is {p}; a distance needs at least one feature")
     if n <= p:

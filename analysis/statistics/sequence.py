@@ -142,6 +142,7 @@ def _too_few(n: int, subject: str) -> str:
 
 
 def _varying_columns(baseline: FloatArray) -> np.ndarray:
+    """Return which columns vary in the baseline, shape (p,)."""
     present = np.isfinite(baseline)
     n = np.maximum(present.sum(axis=0), 1)
     mean = np.where(present, baseline, 0.0).sum(axis=0) / n
@@ -160,6 +161,7 @@ def _assess(
     *,
     textbooks: bool,
 ) -> Assessed:
+    """Assess complete rows of a table with the baseline of its healthy rows."""
     x = _scaled(measured, healthy)
     complete = np.asarray(np.isfinite(x).all(axis=1))
     rows = np.flatnonzero(healthy & complete)
@@ -270,6 +272,7 @@ def _values_in_rows(size: int, rows: np.ndarray, values: FloatArray) -> FloatArr
 def _skipped_rows(
     complete: np.ndarray, healthy: np.ndarray, after: np.ndarray
 ) -> tuple[tuple[int, str], ...]:
+    """Return the rows that are not assessed, each with its reason."""
     missing = [(int(row), "a value is missing") for row in np.flatnonzero(~complete)]
     between = np.flatnonzero(complete & ~healthy & ~after)
     missing += [(int(row), "not of the baseline, and before its end: no chart") for row in between]

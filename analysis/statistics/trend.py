@@ -45,6 +45,7 @@ class Trend:
 
 
 def _too_few(n_points: int, n_times: int) -> NotEnoughPointsError:
+    """Return the error for too few points of a parabola."""
     return NotEnoughPointsError(
         f"a parabola through {n_points} points at {n_times} times; it needs at least "
         f"{MINIMUM_POINTS} points at 3 times: wait for more sets"

@@ -26,6 +26,7 @@ def analytic(values: FloatArray) -> NDArray[np.complex128]:
 
 
 def _one_sided(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
+    """Return the spectrum of the analytic signal: negative frequencies are zero."""
     half = spectrum.size // 2
     out = np.zeros_like(spectrum)
     out[0] = spectrum[0]

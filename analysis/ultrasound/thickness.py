@@ -399,6 +399,7 @@ def _check_reference(
     thinnest_fraction: float,
     thickest_fraction: float,
 ) -> None:
+    """Raise an error for a parameter of the reference that is not physical."""
     if not delay_s >= 0.0:
         raise InvalidInputError(f"delay_s is {delay_s} s; it must not be negative")
     for name, value in (
@@ -421,6 +422,7 @@ def _centred(waveform: Waveform) -> FloatArray:
 
 
 def _quality(coefficient: float, slipped: bool) -> tuple[Quality, str]:
+    """Return the quality of a reading, with the reasons if it is not good."""
     if not coefficient >= SUSPECT_CORRELATION:
         return "bad", f"correlation {coefficient:.2f} below {SUSPECT_CORRELATION}"
     reasons = []

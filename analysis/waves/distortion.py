@@ -118,6 +118,7 @@ def _lowered(
     sd: FloatArray,
     least: float,
 ) -> NDArray[np.bool_]:
+    """Return the points that a pattern lowers by more than their scatter explains, shape (n,)."""
     if not (np.isfinite(middle).all() and pattern.any()):
         return np.zeros(len(points), dtype=bool)
     variation = np.column_stack([middle, variation])

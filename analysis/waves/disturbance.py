@@ -228,6 +228,7 @@ def noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> list[s
 
 
 def _stretches_without_noise(record: ReducedRecord, rate_hz: float) -> set[str]:
+    """Return the flags of stretches whose samples follow one another without noise."""
     steps = np.diff(record.samples_v)
     shortest = max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz)
     found = _find_constant_stretches(record, steps, shortest)

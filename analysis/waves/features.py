@@ -157,6 +157,7 @@ def with_flags(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
 
 
 def _quality_of(found: Collection[str]) -> dict[str, Any]:
+    """Return flags, validity and quality of a shot by its flags."""
     flags = tuple(flag for flag in FLAGS if flag in found)
     valid = INVALIDATING_FLAGS.isdisjoint(flags)
     return {
@@ -292,6 +293,7 @@ def extract_from_volts(
 def _extract(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
+    """Extract the features of records of any kind; records of one kind are processed together."""
     kinds: dict[tuple[int, float, int], list[int]] = {}
     for number, one in enumerate(given):
         kinds.setdefault(one.kind, []).append(number)

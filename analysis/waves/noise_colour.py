@@ -133,6 +133,7 @@ def _coloured(
     memory: float,
     of_differences: float,
 ) -> NoiseColour:
+    """Return the noise colour of a record from its variances at several time scales."""
     block2, _, flank2, slow2 = bands
     return NoiseColour(
         sample2=sample2,

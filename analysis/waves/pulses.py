@@ -206,6 +206,7 @@ def search_windows_s(
 def _find_isw(
     record: ReducedRecord, maxima: list[int], top: float, settings: ExtractionSettings
 ) -> Pulse | None:
+    """Return the incident wave: the first large maximum that is wide enough; None if there is none."""
     first = next((index for index in maxima if record.matched_v[index] >= 0.5 * top), None)
     if first is None or top <= 0.0:
         return None

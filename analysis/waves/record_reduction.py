@@ -425,6 +425,7 @@ def _check_record(
     step_s: float,
     settings: ExtractionSettings,
 ) -> None:
+    """Raise an error for a record that is too short, too coarse or has too little pre-trigger."""
     if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
         raise RecordError(f"sample_rate_hz is {sample_rate_hz}; it must be positive")
     if not 0 < pretrigger_samples < n_samples:

@@ -204,6 +204,7 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
 
 
 def _arrival_differs(shot: ShotFeatures, template: Template) -> bool:
+    """Return whether the incident wave arrives at another time than in the template."""
     if template.isw_time_s is None:
         return False
     limit_s = max(LATEST_OWN * template.isw_fwhm_s, ARRIVAL_SD * template.isw_time_sd_s)

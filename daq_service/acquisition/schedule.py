@@ -84,6 +84,7 @@ def due_hours(phases: Sequence[PhaseLike], *, end_h: float | None = None) -> lis
 
 @lru_cache(maxsize=16)
 def _hours_of(phases: tuple[tuple[float, float], ...]) -> tuple[float, ...]:
+    """Return the hours of all sets of the phases."""
     # A year has many sets, and each answer of the web service needs them.
     hours: list[float] = []
     start_h = 0.0

@@ -73,6 +73,7 @@ def baseline_doubts(baseline_quality: Mapping[str, Any] | None) -> list[str]:
 
 
 def _signal_change(evidence: Evidence) -> Iterator[str]:
+    """Yield the sentences of a signal change: size, diagnosis and confirmation set."""
     yield from _distance_or_chart(evidence)
     if known := _values(evidence.get("diagnosis_details") or {}, "sentence", "action", "changes"):
         sentence, action, changes = known
@@ -105,6 +106,7 @@ def confirmation_sentence(confirmation: Evidence) -> str:
 
 
 def _distance_or_chart(evidence: Evidence) -> Iterator[str]:
+    """Yield the sentences of the control chart if it decides, otherwise those of the squared distance."""
     if evidence.get("mewma_statistic") is not None:
         yield from _by_chart(evidence)
         return
@@ -128,6 +130,7 @@ def _distance_or_chart(evidence: Evidence) -> Iterator[str]:
 
 
 def _by_chart(evidence: Evidence) -> Iterator[str]:
+    """Yield the sentences of an alarm of the control chart or of a diagnosis."""
     by_cause = evidence.get("raised_by") == "diagnosis"
     if known := _values(evidence, "set_index", "mewma_statistic", "limit"):
         set_index, chart, limit = known
@@ -153,6 +156,7 @@ def _by_chart(evidence: Evidence) -> Iterator[str]:
 
 
 def _contributions(contributions: Mapping[str, float | None], to: str = "the distance") -> Iterator[str]:
+    """Yield the sentence with the features that contribute most."""
     known = {name: value for name, value in contributions.items() if value is not None}
     total = sum(known.values())
     largest = sorted(known, key=lambda name: -known[name])[:MOST_FEATURES]
@@ -166,6 +170,7 @@ def _contributions(contributions: Mapping[str, float | None], to: str = "the dis
 
 
 def _thickness(evidence: Evidence) -> Iterator[str]:
+    """Yield the sentences of a wall thickness and its limit."""
     if known := _values(evidence, "set_index", "thickness_m", "limit_m"):
         set_index, wall_m, limit_m = known
         difference_m = abs(limit_m - wall_m)
@@ -198,6 +203,7 @@ def _k_of_n(evidence: Evidence, unit: str) -> Iterator[str]:
 
 
 def _hole(evidence: Evidence) -> Iterator[str]:
+    """Yield the sentences of shots without a reflected wave."""
     if known := _values(evidence, "set_index", "shots_without_psw"):
         yield f"Set {known[0]} has {known[1]} shots without a reflected wave."
     if known := _values(evidence.get("rule") or {}, "shots", "consecutive_sets"):
@@ -205,6 +211,7 @@ def _hole(evidence: Evidence) -> Iterator[str]:
 
 
 def _poor_sets(evidence: Evidence) -> Iterator[str]:
+    """Yield the sentences of sets with too few valid shots."""
     if known := _values(evidence, "consecutive_poor_sets", "set_index", "minimum_valid_shots"):
         n_sets, set_index, minimum = known
         yield f"{n_sets} sets running, the last one set {set_index}, have fewer than {minimum} valid shots."
@@ -213,6 +220,7 @@ def _poor_sets(evidence: Evidence) -> Iterator[str]:
 
 
 def _rig(evidence: Evidence) -> Iterator[str]:
+    """Yield the sentence of an instrument error."""
     if known := _values(evidence, "set_index", "error"):
         set_key = SetKey(known[0], evidence.get("unscheduled_index", 0))
         yield f"In set {set_key} the instruments' driver raised {known[1]}."
@@ -221,6 +229,7 @@ def _rig(evidence: Evidence) -> Iterator[str]:
 
 
 def _data(evidence: Evidence) -> Iterator[str]:
+    """Yield the sentences of corrupt files."""
     for file, fault in (evidence.get("damaged") or {}).items():
         yield f"{file}: {fault}."
     if quarantined := evidence.get("set_aside"):
@@ -228,6 +237,7 @@ def _data(evidence: Evidence) -> Iterator[str]:
 
 
 def _supply(evidence: Evidence) -> Iterator[str]:
+    """Yield the sentences of the supply's newest reading."""
     if known := _values(evidence, "supply_state", "supply_quality"):
         age = _values(evidence, "supply_age_s")
         age_text = f", {age[0]:.0f} s old" if age else ""

@@ -165,6 +165,7 @@ def add_evidence(row: AlarmRow, evidence: Mapping[str, object], moment: Moment) 
 
 
 def _new_row(condition: Condition, moment: Moment) -> AlarmRow:
+    """Return the row of an alarm that a condition raises."""
     return AlarmRow(
         position=condition.position,
         kind=condition.kind,

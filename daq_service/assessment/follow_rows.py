@@ -31,6 +31,7 @@ def follow(assessor: Assessor, stored: StoredResult) -> Sequence[AssessmentRow]:
 
 
 def _follow_shots(assessor: SolitaryWaveAssessor, stored: StoredResult) -> Sequence[AssessmentRow]:
+    """Update the state of a transducer's assessor with a stored set."""
     row, result, before = stored.its_set, stored.result, assessor.state
     set_of_shots = SetOfShots(
         set_index=row.set_index,

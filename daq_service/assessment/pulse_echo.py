@@ -150,6 +150,7 @@ class PulseEchoAssessor:
         return self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
 
     def _condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:
+        """Return the condition of the thickness alarm after a reading."""
         fraction = self._settings.alarms.thickness_loss_fraction
         initial_m = self._settings.ultrasound.initial_thickness_m
         remaining_m, loss_m = row.thickness_m, row.thickness_loss_m

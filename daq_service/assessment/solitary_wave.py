@@ -190,6 +190,7 @@ class SolitaryWaveAssessor:
     def _combine(
         self, shots: Sequence[Shot], features: Sequence[ShotFeatures], outcomes: Mapping[int, str]
     ) -> CombinedShots:
+        """Combine the shots of a set to the mean of its features."""
         return combine_shots(
             shots,
             features,
@@ -266,6 +267,7 @@ class SolitaryWaveAssessor:
     def _assessment_row(
         self, set_index: int, due_h: float, assessment: SetAssessment, unscheduled_index: int = 0
     ) -> AssessmentRow:
+        """Return the row of an assessment."""
         baseline = self.state.baseline
         limits = {} if baseline is None else baseline.limits
         other_statistics = {
@@ -305,6 +307,7 @@ def freezes_baseline(before: State, after: State) -> bool:
 
 
 def _feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> FeatureRow:
+    """Return the row of the features of a shot."""
     return FeatureRow(
         id=None,
         set_index=due.set_index,
@@ -321,6 +324,7 @@ def _feature_row(due: DueSet, shot: Shot, features: ShotFeatures) -> FeatureRow:
 
 
 def _set_feature_row(position: str, due: DueSet, mean: SetFeatures) -> FeatureRow:
+    """Return the row of the mean features of a set."""
     return FeatureRow(
         id=None,
         set_index=due.set_index,

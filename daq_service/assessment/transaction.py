@@ -140,6 +140,7 @@ class Transaction(SetCommit):
         position: str | None = None,
         set_key: SetKey | None = None,
     ) -> None:
+        """Add an event at a moment."""
         self.events.append(
             EventRow(
                 utc_ns=moment.utc_ns,

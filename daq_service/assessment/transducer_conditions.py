@@ -75,6 +75,7 @@ def wall_conditions(position: str, state: State, rules: Rules, assessment: Asses
 
 
 def _common_evidence(assessment: AssessmentRow) -> dict[str, Any]:
+    """Return the evidence that every alarm of a signal change has."""
     return {
         "set_index": assessment.set_index,
         "distance_squared": assessment.distance_squared,
@@ -103,6 +104,7 @@ AlarmBasis = tuple[bool, float | None, str, dict[str, Any]]
 def _by_chart(
     position: str, design: Design, state: State, rules: Rules, assessment: AssessmentRow
 ) -> AlarmBasis:
+    """Return the basis of the wall alarm if the control chart decides."""
     memory = state.memory
     assert memory is not None, "checked by the caller"
     limit, average = design.limits[MEWMA], np.array(memory.averages[MEWMA])
@@ -131,6 +133,7 @@ def _by_chart(
 
 
 def _by_k_of_n(position: str, state: State, rules: Rules, assessment: AssessmentRow) -> AlarmBasis:
+    """Return the basis of the wall alarm if k outliers of n sets decide."""
     alarm, rule = state.alarm, rules.alarm
     statistics = {
         DISTANCE: assessment.distance_squared,

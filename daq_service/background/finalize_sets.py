@@ -113,6 +113,7 @@ class SetFinalizer(BackgroundTask):
             self.after_set(set_key)
 
     def _take_back(self, set_key: SetKey, future: Future[tuple[SetReference, str, str]]) -> None:
+        """Process the result of the worker that finalized a set; schedule a retry after a disk error."""
         try:
             file, sha256, message = future.result()
             self._filed(set_key, file, sha256)

@@ -127,6 +127,7 @@ class TileMaker(BackgroundTask):
         return next_sets
 
     def _submit(self, sets: Sequence[tuple[SetKey, str]]) -> None:
+        """Start the worker with the files and results of some sets."""
         try:
             files_and_results = [(file, self._results(set_key)) for set_key, file in sets]
         except (StorageError, OSError) as error:
@@ -138,6 +139,7 @@ class TileMaker(BackgroundTask):
             )
 
     def _take_back(self, future: Future[str]) -> None:
+        """Process the result of the worker; log a new message."""
         try:
             message = future.result()
         except Exception as error:  # noqa: BLE001 - a worker that died; the round comes again

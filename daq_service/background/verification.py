@@ -110,6 +110,7 @@ class IdleVerification(BackgroundTask):
                     del self._to_come[0]
 
     def _take_back(self, file: str, is_noted: bool, future: Future[tuple[str, str]]) -> None:
+        """Process the result of a verified file."""
         try:
             fault, sha256 = future.result()
             if not (fault or is_noted):

@@ -142,6 +142,7 @@ class UnchangedCatalogue:
             raise
 
     def _copy_to(self, target: Path) -> None:
+        """Copy the catalogue to a file and check the copy."""
         remove_quietly(target)
         try:
             with closing(sqlite3.connect(target, isolation_level=None)) as copy:

@@ -48,6 +48,7 @@ def serve_tests(
 
 
 def _serve_many(paths: Sequence[Path], data_dir: Path | None, port: int | None, web: Path | None) -> int:
+    """Serve several tests by one web service; return the exit code."""
     from daq_service.web.auth.middleware import refuse_unprotected_service
     from daq_service.web.multi_test.app import create_app_of_many
 

@@ -161,6 +161,7 @@ def summary_lines(summary: dict[str, Any], folder: Path) -> Iterator[str]:
 
 
 def _limit(row: dict[str, object]) -> str:
+    """Return the limit of a position as text."""
     if row["n_baseline"] is None:
         return "-"
     if row["limit"] is None:

@@ -177,6 +177,7 @@ class ProgressReport:
         self._preparing.append((what, self._machine.mono_s()))
 
     def _hear_prepared(self, *, what: str) -> None:
+        """Print how long a preparation took, if it was long."""
         started = [item for item in self._preparing if item[0] == what]
         if started:  # else a line was lost on the way
             self._preparing.remove(started[-1])
@@ -185,6 +186,7 @@ class ProgressReport:
                 self._put(f"{what}: took {duration(took_s)}")
 
     def _hear_progress(self, *, done: int, planned: int, due_h: float) -> None:
+        """Update the progress; without a terminal print it from time to time."""
         self._progress = f"hour {due_h:.1f}, set {done} of {planned}"
         if self._gap is not None and done - 1 > self._gap[2]:
             self._end_gap()
@@ -204,6 +206,7 @@ class ProgressReport:
     def _hear_asked(
         self, *, text: str, within_s: float, position: str = "", shot_index: int | None = None, **_: object
     ) -> None:
+        """Print a request to a person."""
         shot = "" if shot_index is None else f" (position {position}, shot {shot_index + 1})"
         self._put(f"{text}{shot}: within {duration(within_s)}", style="bold")
 

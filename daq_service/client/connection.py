@@ -99,6 +99,7 @@ class Connection:
         return (self._events or self._stream_events)(after, topics)
 
     def _stream_events(self, after: int, topics: str | None) -> Iterator[Json]:
+        """Yield events after an id; reconnect after the last one while the service restarts."""
         parameters: Mapping[str, str] = {} if topics is None else {"topics": topics}
         url, last_reason = self.http.base_url, ""
         while not self._closed.is_set():

@@ -33,6 +33,7 @@ def frame(kind: type[Row], items: Sequence[Json], as_of: Json) -> pd.DataFrame:
 
 
 def _series(column: PublishedColumn, items: Sequence[dict[str, object]]) -> pd.Series[object]:
+    """Return a column of answers as a pandas series of the right type."""
     values = [item[column.name] for item in items]
     if column.form == "time":
         return pd.to_datetime(pd.Series(values, dtype="object"), utc=True, format="ISO8601").astype(

@@ -64,6 +64,7 @@ class InProcess(httpx.BaseTransport):
         return self._portal.call(self._answer, request)
 
     async def _answer(self, request: httpx.Request) -> httpx.Response:
+        """Return the response of the application to a request."""
         asgi_request = httpx.Request(
             request.method, request.url, headers=request.headers, content=request.read()
         )

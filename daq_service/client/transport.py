@@ -83,6 +83,7 @@ CERTIFICATES = ("SSL_CERT_FILE", "SSL_CERT_DIR")
 
 
 def _certificates(scheme: str) -> ssl.SSLContext:
+    """Return the TLS context; for plain HTTP one without certificates."""
     if scheme != "https":  # nothing is encrypted: to read all certificates would take longer than the answer
         return ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
     if next(filter(os.environ.get, CERTIFICATES), "") == "SSL_CERT_DIR":

@@ -114,6 +114,7 @@ class WallClock:
         return self._step(0, "the system's clock is trusted").message
 
     def _go_on(self, system_ns: int, elapsed_ns: int) -> None:
+        """Continue the test time after the clock was verified."""
         assert self._doubted is not None, "only a doubted clock is believed anew"
         utc_ns = max(system_ns, self._doubted.last_utc_ns)
         self._line = TimeLine(utc_ns=utc_ns, elapsed_ns=elapsed_ns, ahead_ns=system_ns - utc_ns)
@@ -130,6 +131,7 @@ class WallClock:
         return system, elapsed
 
     def _step(self, step_ns: int, what: str) -> Step:
+        """Return a step of the system's clock, with its message."""
         step_s, ahead_s = step_ns / NS_PER_S, self._line.ahead_ns / NS_PER_S
         utc_ns, system_ns = self._line.utc_ns, self._line.utc_ns + self._line.ahead_ns
         by = f" by {step_s:+.3f} s" if step_ns else ""

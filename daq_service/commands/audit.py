@@ -112,6 +112,7 @@ class Audit:
             log.warning("not in %s: %s %s %s: %s", AUDIT_FILE, entry.what, entry.result, entry.author, error)
 
     def _allowance(self, entry: AuditEntry) -> Allowance:
+        """Return the rate limit of a name, or of a role without one."""
         name = entry.author if entry.role not in ("", "claimed") else entry.role
         if name not in self._allowances:
             self._allowances[name] = Allowance(MOST_REJECTIONS, REJECTION_EVERY_S, machine=self._machine)

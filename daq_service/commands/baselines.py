@@ -33,6 +33,7 @@ class ApproveBaseline(TransducerCommand):
     kind: Literal["approve_baseline"]
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the baseline cannot be approved; None if it can."""
         position = self.arguments.position
         unknown = super()._forbidden(facts)
         row = facts.baselines.get(position)
@@ -49,6 +50,7 @@ class ApproveBaseline(TransducerCommand):
         return None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Approve the baseline; return the result."""
         row = test.baseline(self.arguments.position)
         assert row is not None, "a proposed baseline has a row"
         moment = test.moment()
@@ -63,6 +65,7 @@ class RenewBaseline(TransducerCommand):
     arguments: RenewalArguments
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Retire the baseline, reset its alarms and collect a new one; return the result."""
         position, moment, reason = self.arguments.position, test.moment(), self.arguments.note.strip()
         retired, collecting = renew(
             position,

@@ -95,6 +95,7 @@ class CommandExecutor:
                 self._finish(row, answer)
 
     def _finish(self, row: CommandRow, answer: Answer) -> None:
+        """Store the answer to a command."""
         self._catalogue.finish_command(row.id, *answer)
         self._answers.pop(row.id, None)
         if answer[0] in ("expired", "failed"):
@@ -148,6 +149,7 @@ class CommandExecutor:
         return "done", result
 
     def _facts(self) -> Facts:
+        """Return the facts that decide whether a command can be executed."""
         return Facts(
             can_skip_time=isinstance(self._test.clock, SimulatedClock),
             paused=self.paused,

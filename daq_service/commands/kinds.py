@@ -245,6 +245,7 @@ class FinishNow(Command):
     arguments: NoArguments = NoArguments()
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the test cannot skip to its end; None if it can."""
         if facts.can_skip_time:
             return None
         return Refusal(
@@ -291,6 +292,7 @@ class AcknowledgeAlarm(StoredCommand):
     arguments: AlarmArguments
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the alarm cannot be acknowledged; None if it can."""
         wanted = self.arguments.alarm_id
         state = next((row.state for row in facts.alarms if row.id == wanted), None)
         if state in AFTER_ACKNOWLEDGEMENT:
@@ -318,6 +320,7 @@ class Annotate(StoredCommand):
     arguments: AnnotationArguments
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the annotation cannot be stored; None if it can."""
         position = self.arguments.position
         if position is None or position in facts.places:
             return None
@@ -349,6 +352,7 @@ class WithdrawAnnotation(StoredCommand):
     arguments: WithdrawalArguments
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the annotation cannot be withdrawn; None if it can."""
         wanted = self.arguments.annotation_id
         row = next((row for row in facts.annotations if row.id == wanted), None)
         if row is None:
@@ -378,10 +382,12 @@ class Pause(Command):
     arguments: ReasonArguments
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the test cannot be paused; None if it can."""
         reason = f"the test is already {facts.paused}"
         return Refusal(reason, "Resume it first; a pause has one reason.") if facts.paused else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Store the pause with its reason; return the result."""
         text = f"paused by {self.author}: {self.arguments.note}"
         test.store_event("pause", {"paused": text, "author": self.author})
         return "paused: nothing strikes until the test is resumed; due sets are missed"
@@ -395,10 +401,12 @@ class Resume(Command):
     arguments: NoteArguments = NoteArguments()
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the test cannot be resumed; None if it can."""
         hint = "Only a paused test can be resumed."
         return None if facts.paused else Refusal("the test is not paused", hint)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Store the end of the pause; return the result."""
         test.store_event("resume", {"paused": "", "author": self.author, "note": self.arguments.note})
         return "resumed: the next due set is taken"
 
@@ -410,6 +418,7 @@ class TrustClock(Command):
     arguments: NoteArguments = NoteArguments()
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the clock cannot be trusted; None if it can."""
         standing = ("unacknowledged", "acknowledged")
         if any(row.kind == CLOCK_UNVERIFIED and row.state in standing for row in facts.alarms):
             return None
@@ -418,6 +427,7 @@ class TrustClock(Command):
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Trust the clock; return the result."""
         assert isinstance(test.clock, WallClock), "no other clock is doubted"
         return test.clock.trust()
 
@@ -429,6 +439,7 @@ class TransducerCommand(Command):
     arguments: TransducerArguments
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why a command about this transducer is rejected; None if the transducer exists."""
         position = self.arguments.position
         if position not in facts.positions:
             missing = f"there is no solitary-wave transducer {position!r}"
@@ -448,6 +459,7 @@ class Disable(TransducerCommand):
     kind: Literal["disable"]
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Disable the transducer by raising its alarm; return the result."""
         position, moment = self.arguments.position, test.moment()
         condition = states.Condition(
             position=position,
@@ -474,6 +486,7 @@ class Enable(TransducerCommand):
         return Refusal(reason, hint) if disabled is None else None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Reset the alarms that disable the transducer; return the result."""
         position, moment = self.arguments.position, test.moment()
         standing = [
             row
@@ -492,12 +505,14 @@ class Strike(TransducerCommand):
     kind: Literal["strike"]
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why no unscheduled set can be taken; None if one can."""
         if facts.paused:
             reason = f"the test is {facts.paused}"
             return Refusal(reason, "Resume it when all hands are out of the rig.")
         return super()._forbidden(facts)
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Request an unscheduled set; return the result."""
         position = self.arguments.position
         reason = self.arguments.note or f"{self.author} wants to know"
         test.store(test.confirmation(position, self.author, reason))
@@ -506,6 +521,7 @@ class Strike(TransducerCommand):
 
 class _SupplyCommand(Command):
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the supply cannot be switched; None if it can."""
         if facts.has_supply:
             return None
         return Refusal(
@@ -523,6 +539,7 @@ class SupplyOn(_SupplyCommand):
     arguments: SupplyArguments = SupplyArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
+        """Switch the supply on; return the answer that is pending."""
         volts, amperes = self.arguments.voltage_v, self.arguments.current_limit_a
         return test.switch.supply_on(
             self.author, test.moment().due_h, voltage_v=volts, current_limit_a=amperes

@@ -102,6 +102,7 @@ def send_command(
 
 
 def _require_recorder(folder: Path, catalogue: Catalogue) -> None:
+    """Raise an error unless a recorder of the folder executes commands."""
     event = catalogue.last_service_event(*PROCESS_EVENTS)
     recorder = read_recorder_state(folder, [event.kind] if event else [])
     if recorder.status == "running" and not recorder.listens:

@@ -43,6 +43,7 @@ class _AlarmOrder(StoredCommand):
         raise NotImplementedError
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the alarm cannot be changed so; None if it can."""
         wanted = self.arguments.alarm_id
         row = next((row for row in facts.alarms if row.id == wanted), None)
         if row is None:

@@ -133,6 +133,7 @@ class Server:
                 connection.close()
 
     def _accept(self) -> None:
+        """Accept a connection, unless there are too many."""
         with contextlib.suppress(OSError):  # the client has already gone
             connection = Connection(self._listener.accept()[0], self._key)
             if len(self._selector.get_map()) > MOST_CONNECTIONS:

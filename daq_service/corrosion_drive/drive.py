@@ -160,6 +160,7 @@ class SupplyLogger:
             self._process_reading(reading)
 
     def _process_reading(self, reading: SupplyReading) -> None:
+        """Store a reading, integrate its charge, and switch off if the interlock requires it."""
         self._book_charge(reading)
         self._window.append(reading)
         self._newest = reading
@@ -226,6 +227,7 @@ class SupplyLogger:
         )
 
     def _book_charge(self, reading: SupplyReading) -> None:
+        """Add the charge since the last reading; a gap adds to the time with unknown current."""
         if self._newest is not None:
             self._charge = add_interval(
                 self._charge,
@@ -241,6 +243,7 @@ class SupplyLogger:
         self._booked_utc_ns = reading.stamp.utc_ns
 
     def _handle_failure(self, error: InstrumentError, now_ns: int) -> None:
+        """Process an instrument error: log it, and trip the interlock after a long silence."""
         if not self._supply_log.error:
             log.warning("supply: %s", error)
         self._supply_log.error = str(error)
@@ -341,6 +344,7 @@ class SupplyLogger:
         return self._switch_off_now()
 
     def _latch(self, reason: str) -> None:
+        """Trip the interlock for a reason; the output must be switched off."""
         if self._tripped is None:
             self._tripped = reason
             log.error("interlock tripped: %s", reason)
@@ -348,6 +352,7 @@ class SupplyLogger:
         self._must_switch_off = True
 
     def _switch_off_now(self) -> bool:
+        """Switch the output off and read it at once; return False after an instrument error."""
         now_ns = self._clock.mono_ns()
         self._must_switch_off = True
         try:

@@ -40,6 +40,7 @@ class FileThread:
             return self._changed.wait_for(lambda: self._job is None and not self._busy, within_s)
 
     def _work(self) -> None:
+        """Run the newest job of each moment until the thread is closed."""
         while True:
             with self._changed:
                 self._changed.wait_for(lambda: self._job is not None or self._closed)

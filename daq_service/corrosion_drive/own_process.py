@@ -200,6 +200,7 @@ class DriveProcess:
         self._jobs(partial(self._write, self._stored))
 
     def _write(self, stored: StoredState) -> None:
+        """Write the state; log the first of consecutive disk errors."""
         try:
             write_stored_state(self._folder, stored)
         except OSError as error:
@@ -324,6 +325,7 @@ class DriveProcess:
         }
 
     def _execute(self, request: Message) -> None:
+        """Execute a request of a recorder or of another supply process."""
         match request["do"]:
             case "look" if request.get("commanded") is False:
                 self._drive.end_command()

@@ -174,6 +174,7 @@ class RemoteDrive:
             self._kill_process(f"it has not answered for {waited_s:.0f} s")
 
     def _connect_or_start(self, now_s: float) -> None:
+        """Connect to the supply process, or start one if none runs."""
         owned = is_owned(self._folder, DRIVE_LOCK)
         if owned is False:
             is_starting = self._process is not None and self._process.poll() is None
@@ -205,6 +206,7 @@ class RemoteDrive:
         self._send(_Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply()))
 
     def _send(self, request: _Request) -> None:
+        """Send a request with a new number."""
         assert self._connection is not None, "only called while connected"
         number = next(self._ids)
         request.since_s = self._machine.mono_s()
@@ -212,6 +214,7 @@ class RemoteDrive:
         self._connection.send({"id": number, **request.values})
 
     def _process_answer(self, answer: Message) -> None:
+        """Process an answer of the supply process."""
         request = self._sent.pop(answer["id"], None)
         if request is not None:
             request.reply.error = answer.get("error", "")
@@ -229,6 +232,7 @@ class RemoteDrive:
         self._disconnect("the process of the drive has not answered, what the output does is unknown")
 
     def _disconnect(self, reason: str) -> None:
+        """Close the connection and fail the requests without an answer."""
         if self._connection is not None:
             self._connection.close()
         self._connection, self._answers = None, False
@@ -274,6 +278,7 @@ class RemoteDrive:
         return False
 
     def _command(self, do: str, **values: object) -> Reply:
+        """Queue a command for the supply process; return the object that receives its reply."""
         if do == "energise":
             until_ns = (
                 self._machine.elapsed_ns()

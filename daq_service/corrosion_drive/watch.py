@@ -107,6 +107,7 @@ class DriveWatch:
         self._update_alarms(hour)
 
     def _conditions(self) -> Iterator[DriveCondition]:
+        """Yield the conditions of climate probe and supply."""
         if self._climate is not None:
             message = self._climate.not_responding()
             active = bool(message)
@@ -114,6 +115,7 @@ class DriveWatch:
         yield from () if self._drive is None else self._drive.conditions()
 
     def _update_alarms(self, hour: float) -> None:
+        """Update every alarm of the supply with its present condition."""
         moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
         transaction = Transaction()
         for drive_condition in self._conditions():

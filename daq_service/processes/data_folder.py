@@ -190,6 +190,7 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
 
 
 def _create_hint_folder(folder: Path) -> None:
+    """Create a folder that the test can do without."""
     try:
         folder.mkdir(exist_ok=True)
     except OSError as error:

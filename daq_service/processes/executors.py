@@ -144,6 +144,7 @@ class _ProcessExecutor(Executor):
         return ProcessPoolExecutor(self._workers, mp_context=context, initializer=start_worker)
 
     def _submit_attempt(self, task: _Task[T]) -> None:
+        """Submit a task to the pool; replace a broken pool."""
         with self._lock:
             pool = self._pool
         try:  # without our lock: a pool that breaks holds its own lock during its callback
@@ -154,12 +155,14 @@ class _ProcessExecutor(Executor):
         attempt.add_done_callback(partial(self._finish_attempt, task, pool))
 
     def _replace_pool(self, broken: ProcessPoolExecutor) -> ProcessPoolExecutor:
+        """Replace a broken pool; return the present one."""
         with self._lock:
             if self._pool is broken:
                 self._pool = self._new_pool()
             return self._pool
 
     def _finish_attempt(self, task: _Task[T], pool: ProcessPoolExecutor, attempt: Future[T]) -> None:
+        """Set the result of a task, or repeat it if its pool broke."""
         if attempt.cancelled():
             Future.cancel(task)
             return
@@ -195,6 +198,7 @@ def _in_one_thread(work: Callable[..., T], *args: object, **named: object) -> T:
 
 @contextmanager
 def _cluster(name: str) -> Iterator[Executor]:
+    """Yield an executor on a Dask cluster."""
     try:
         from distributed import Client
     except ImportError as error:

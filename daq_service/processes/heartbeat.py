@@ -157,6 +157,7 @@ def _crc32(values: Mapping[str, Any]) -> int:
 
 
 def _overwrite(path: Path, content: bytes) -> None:
+    """Overwrite a file in place."""
     descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | O_BINARY, 0o644)
     try:
         os.write(descriptor, content)
@@ -182,6 +183,7 @@ def read_heartbeat(folder: Path, file: str = FILE_NAME) -> Beat | None:
 
 
 def _decoded(content: bytes) -> Beat:
+    """Return the heartbeat of a file's content; raise ValueError if it is corrupt."""
     values = json.loads(content)
     crc32 = values.pop("crc32", None)  # an older version wrote none
     if crc32 is not None and crc32 != _crc32(values):

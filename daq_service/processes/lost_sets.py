@@ -64,6 +64,7 @@ def _changed_after(sets: Path, files: Sequence[str]) -> bool:
 
 
 def _size(path: str) -> int | None:  # thousands of them: a `Path` takes longer than the call
+    """Return the size of a file in bytes; None if it is missing."""
     try:
         return os.stat(path).st_size  # noqa: PTH116
     except FileNotFoundError:

@@ -94,6 +94,7 @@ def recorder_state(
 def _description(
     beat: Beat | None, age: float | None, *, is_running: bool, is_late: bool, has_started: bool
 ) -> str:
+    """Return the state of the recorder in words."""
     if beat is None and is_running:
         return "running; no heartbeat of it can be read yet"
     if beat is None:

@@ -81,6 +81,7 @@ class RecorderWatch:
             self._update_alarm("" if is_over else finding, fresh)
 
     def _count_restarts(self, fresh: Freshness) -> None:
+        """Count a restart of the recorder that no person made."""
         beat = fresh.recorder.beat
         if beat is None:
             return
@@ -116,6 +117,7 @@ class RecorderWatch:
         return ""
 
     def _update_alarm(self, finding: str, fresh: Freshness) -> None:
+        """Update the alarm `recorder_not_running` in the catalogue."""
         moment = Moment(utc_ns=fresh.now_utc_ns, due_h=fresh.now_h, set_index=None)
         with open_for_one_command(self._folder) as catalogue:
             rows = catalogue.rows(AlarmRow, kind=RECORDER_NOT_RUNNING)

@@ -218,6 +218,7 @@ class Supervisor:
         return self._plan_restart(child, code)
 
     def _plan_restart(self, child: _Child, code: int) -> int | None:
+        """Schedule the restart of a child; return an exit code to give up, else None."""
         now_ns = self._machine.mono_ns()
         if now_ns - child.started_ns >= HEALTHY_AFTER_S * NS_PER_S:
             child.quick_failures = 0
@@ -235,6 +236,7 @@ class Supervisor:
         return None
 
     def _start(self, child: _Child) -> None:
+        """Start a child with the threads that read its streams."""
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
         child.started_ns, child.reported_beat, child.beat, child.cause = (
             self._machine.mono_ns(),
@@ -254,6 +256,7 @@ class Supervisor:
             self._readers.append(child.reader)
 
     def _read_errors(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
+        """Forward the lines of a child's standard error."""
         assert process.stderr is not None
         with process.stderr as lines:
             for line in lines:
@@ -261,6 +264,7 @@ class Supervisor:
                 self._messages.put((child.plan.name, {"event": "printed", "text": text}))
 
     def _read_messages(self, child: _Child, process: subprocess.Popen[bytes]) -> None:
+        """Read the messages of a child from its standard output until it ends."""
         assert process.stdout is not None
         with process.stdout as lines:
             for line in lines:
@@ -310,6 +314,7 @@ class Supervisor:
         )
 
     def _beat_in_file(self, child: _Child) -> Beat | None:
+        """Return the heartbeat of a child from its file; None without one."""
         if child.plan.watched:
             return self._read_beat(self._folder)
         # A supervisor that was suspended reads its pipe late. Another service may serve the folder.
@@ -318,6 +323,7 @@ class Supervisor:
 
     @staticmethod
     def _close_pipe(child: _Child) -> None:
+        """Close the standard input of a child with a farewell."""
         if child.process is not None and child.process.stdin is not None:
             with suppress(OSError, ValueError):  # the child is gone, or its pipe is closed already
                 child.process.stdin.write(FAREWELL)

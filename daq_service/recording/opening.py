@@ -86,6 +86,7 @@ class OpeningAlarm:
         self._reported = condition.present
 
     def _carried(self, condition: Condition, moment: Moment) -> Change | None:
+        """Update the alarm in the catalogue; return the change, None if there is none."""
         rows = self._catalogue.rows(AlarmRow, kind=condition.kind)
         row = rows[-1] if rows else None
         if not condition.present and row is not None and row.evidence.get("set_index") is not None:

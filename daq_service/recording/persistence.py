@@ -78,6 +78,7 @@ class Persistence:
         self._report_ids(self._archive.sync())
 
     def _report_ids(self, shot_ids: Iterable[int]) -> None:
+        """Report each durable shot once."""
         for shot_id in shot_ids:
             if shot_id not in self._reported_ids:
                 self._reported_ids.add(shot_id)
@@ -168,6 +169,7 @@ class Persistence:
         return "" if self._disk is None or self._stop.is_set() else self._disk.refusal
 
     def _wait(self, message: str) -> None:
+        """Schedule the next retry, and report a new trouble."""
         now_s, before = self._mono_s(), self.trouble
         self._next_s = now_s + WAITS_S[min(self._tries, len(WAITS_S) - 1)]
         self._tries += 1

@@ -78,6 +78,7 @@ class PulseEchoUnits:
 
 
 def _of(instruments: Mapping[str, T], key: ShotKey, what: str) -> T:
+    """Return the instrument at the position of a shot; raise an error without one."""
     if key.position not in instruments:
         raise ConfigurationError(
             f"no {what} at position {key.position!r}; there are: {', '.join(instruments) or 'none'}; name "

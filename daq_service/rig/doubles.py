@@ -184,6 +184,7 @@ def _rig_tables(
 
 
 def _on_rig(settings: Settings, tables: Mapping[str, object], dropped: Sequence[str]) -> Settings:
+    """Return the settings with other tables of the rig and without some positions."""
     values = settings.model_dump(mode="json")
     values["rig"] |= tables
     for name in dropped:

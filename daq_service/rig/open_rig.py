@@ -103,6 +103,7 @@ def opening_of(item: Instrument, settings: Settings, clock: Clock) -> Opening:
 
 
 def _require_roles(item: Instrument, opened: Opened) -> None:
+    """Raise an error if an instrument was opened without a role that it offers."""
     for role in item.serves:
         if getattr(opened, role) is None:
             raise ConfigurationError(
@@ -118,6 +119,7 @@ def _compose_rig(
     clock: Clock,
     asking: PersonRequests,
 ) -> Rig:
+    """Compose a rig from the opened instruments, by role and position."""
     pairs = list(zip(instruments, opened, strict=True))
 
     def at(role: Role) -> dict[str, Any]:
@@ -173,6 +175,7 @@ class _Together:
     parts: list[SelfCalibrating]
 
     def self_calibrate(self) -> Mapping[str, str]:
+        """Calibrate all parts; return their results."""
         results: dict[str, str] = {}
         for part in self.parts:
             results |= part.self_calibrate()

@@ -121,6 +121,7 @@ class ArchivedShots:
         return self._moments[set_key]
 
     def _first_readable(self) -> SetRecord:
+        """Return the first set that can be read."""
         for file in self._files.values():
             try:
                 return self._archive.read_set(file, skip_damaged=True)
@@ -131,6 +132,7 @@ class ArchivedShots:
         )
 
     def _records(self, set_key: SetKey) -> Iterable[Record]:
+        """Return the records of a set; none if its file is missing or corrupt."""
         file = self._files.get(set_key)
         if file is None:
             return ()
@@ -149,6 +151,7 @@ class ArchivedShots:
         return record.records
 
     def _complete_or_remaining(self, set_key: SetKey, file: SetReference) -> SetRecord:
+        """Read a set, or what is left of it."""
         try:
             return self._archive.read_set(file)
         except CorruptArchiveError:
@@ -243,6 +246,7 @@ def playback_instruments(
 
 @contextmanager
 def _open(parameters: PlaybackParameters, opening: Opening) -> Iterator[Opened]:
+    """Open a recording as an instrument."""
     wanted = {
         **dict.fromkeys(opening.serves.get("digitizer", ()), SOLITARY_WAVE),
         **dict.fromkeys(opening.serves.get("pulse_echo", ()), PULSE_ECHO),

@@ -99,6 +99,7 @@ def twin_process(settings: Settings, compiling: Callable[[bool], None]) -> Itera
 
 
 def _forward_messages(receiver: Connection, compiling: Callable[[bool], None]) -> None:
+    """Forward the messages of the worker about compiling until it ends."""
     is_compiling = False
     with suppress(EOFError, OSError):  # the worker has ended, or was killed in the midst of a word
         while True:
@@ -117,6 +118,7 @@ def records(settings_json: str, strikes: Sequence[tuple[ShotKey, float]]) -> lis
 
 @cache
 def _specimen(settings_json: str) -> Specimen:
+    """Build the specimen of the twin from settings as JSON."""
     from simulator.specimen import build_specimen
 
     settings = Settings.model_validate_json(settings_json)
@@ -153,6 +155,7 @@ class TwinOfTheExperiment:
 
 @contextmanager
 def _open(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Opened]:
+    """Open the twin as an instrument, in its own process where that is faster."""
     settings = Settings.model_validate(opening.experiment)
     places, schedule, serves = settings.positions, settings.schedule, opening.serves
     served = {name: places[name] for name in opening.positions}
@@ -221,6 +224,7 @@ def _check(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Findin
 
 
 def _require(parameters: TwinOfTheExperiment, serves: Mapping[Role, tuple[str, ...]]) -> None:
+    """Raise an error if a position is only struck or only digitized by the twin."""
     struck, digitized = (set(serves.get(role, ())) for role in ("striker", "digitizer"))
     if apart := sorted(struck ^ digitized):
         raise ValueError(

@@ -104,6 +104,7 @@ def placeholders(values: Mapping[str, object]) -> list[KeyPath]:
 
 
 def _refuse_placeholders(values: Mapping[str, object], path: Path) -> None:
+    """Raise an error that lists the values still to be filled in."""
     if missing := placeholders(values):
         lines = "\n".join(f"  {'.'.join(key)}: {describe(key)}" for key in missing)
         raise UsageError(
@@ -137,6 +138,7 @@ def _refuse_unknown_variables() -> None:
 
 
 def _merge(values: Mapping[str, object], overrides: Mapping[str, object]) -> Tables:
+    """Return nested tables with overridden values."""
     merged = dict(values)
     for key, value in overrides.items():
         below = merged.get(key)
@@ -169,6 +171,7 @@ def _explain(problems: Sequence[Mapping[str, Any]], keys: Sequence[str], path: P
 
 
 def _rejection(path: Path, lines: Sequence[str]) -> str:
+    """Return the message about an invalid configuration."""
     shown_lines = "\n".join(f"  {line}" for line in dict.fromkeys(lines))
     return (
         f"{path} (with SOLIMON_... from the environment) is refused:\n{shown_lines}\n"

@@ -138,6 +138,7 @@ def plain(instrument: Instrument) -> dict[str, object]:
 def _instrument(
     name: str, table: str, kind_name: str, values: object, serves: Mapping[Role, tuple[str, ...]]
 ) -> Instrument:
+    """Return an instrument with its kind and validated parameters."""
     try:
         kind, offer = find_kind(kind_name)
     except ConfigurationError as error:

@@ -81,6 +81,7 @@ class MixedRig(BaseModel):
     @field_validator("instruments")
     @classmethod
     def _plain_names(cls, instruments: dict[str, InstrumentSettings]) -> dict[str, InstrumentSettings]:
+        """Check the characters of the instruments' names."""
         for name in instruments:
             if not re.fullmatch(r"[A-Za-z0-9_-]{1,40}", name):
                 raise ValueError(f"instrument name {name!r}: use up to 40 ASCII letters, digits, - and _")
@@ -88,6 +89,7 @@ class MixedRig(BaseModel):
 
     @model_validator(mode="after")
     def _names_instruments(self) -> Self:
+        """Check that every named instrument exists and has the role."""
         named = {
             f"positions.{at}.{role}": name
             for at, place in self.positions.items()

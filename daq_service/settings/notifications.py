@@ -74,6 +74,7 @@ class ReceiverSettings(_Table):
 
     @model_validator(mode="after")
     def _has_what_it_needs(self) -> Self:
+        """Check that a receiver has an address and, for a webhook, a secret."""
         places = ["url", "url_file", "url_env"] if self.kind == "webhook" else ["url_file", "url_env"]
         if self.kind == "apprise" and self.url:
             raise ValueError("an address of apprise holds a password; put it into url_file or url_env")
@@ -92,6 +93,7 @@ class ReceiverSettings(_Table):
         return self
 
     def _exactly_one(self, places: list[str]) -> None:
+        """Raise an error unless exactly one of several keys is given."""
         given = [name for name in places if getattr(self, name)]
         if len(given) != 1:
             found = " and ".join(given) or "none"
@@ -100,6 +102,7 @@ class ReceiverSettings(_Table):
     @field_validator("url_env", "secret_env")
     @classmethod
     def _is_a_variable(cls, name: str) -> str:
+        """Check that a value is the name of an environment variable."""
         if name and not _VARIABLE.fullmatch(name):
             raise ValueError("give the name of a variable, not what it holds: letters, digits and _")
         if name.upper().startswith("SOLIMON_"):
@@ -149,6 +152,7 @@ class NotificationSettings(_Table):
 
     @model_validator(mode="after")
     def _rules_name_receivers(self) -> Self:
+        """Check that the rules name existing receivers."""
         for number, rule in enumerate(self.rules, start=1):
             if unknown := sorted(set(rule.receivers) - set(self.receivers)):
                 raise ValueError(

@@ -42,6 +42,7 @@ class RigSettings(MixedRig):
 
     @model_validator(mode="after")
     def _has_what_its_kind_needs(self) -> Self:
+        """Check that the rig has the table of its kind."""
         if self.kind == "daqmx" and self.daqmx is None:
             raise ValueError("kind is 'daqmx', which needs [rig.daqmx]; `solimon init rig` writes one")
         if self.kind == "playback" and self.playback is None:

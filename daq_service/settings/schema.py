@@ -44,6 +44,7 @@ class _Described(GenerateJsonSchema):
     """
 
     def _described(self, table: JsonSchemaValue, kind: type) -> JsonSchemaValue:
+        """Add the descriptions of the keys to the schema of a class."""
         keys = table["properties"]
         for base in kind.__mro__[:-1]:
             if base.__name__ not in _classes(inspect.getmodule(base)):

@@ -123,6 +123,7 @@ def _with_current_defaults(settings: Settings) -> Settings:
 
 
 def _unknown(values: Tables) -> set[KeyPath]:
+    """Return the keys that this version does not know."""
     try:
         _stored_tree()(**values)
     except ValidationError as error:
@@ -132,6 +133,7 @@ def _unknown(values: Tables) -> set[KeyPath]:
 
 
 def _is_hashed_out(path: KeyPath) -> bool:
+    """Return whether a key has no part in the hash of the configuration."""
     below: object = HASHED_OUT
     for name in path:
         if not isinstance(below, Mapping | set) or name not in below:

@@ -118,6 +118,7 @@ class ScheduleSettings(Section):
 
     @model_validator(mode="after")
     def _phases_follow_each_other(self) -> Self:
+        """Check that each phase ends after the one before."""
         before = 0.0
         for phase in self.phases:
             if phase.until_h <= before:
@@ -217,6 +218,7 @@ class NoveltySettings(Section):
     @field_validator("limit")
     @classmethod
     def _limit_is_known(cls, limit: str) -> str:
+        """Check that the limit exists; return its current name."""
         limit = {"chart": "mewma"}.get(limit, limit)  # stored by earlier versions
         if limit == cls.model_fields["limit"].default:
             return limit  # the list comes with SciPy, which readers of a folder do not need
@@ -294,6 +296,7 @@ class StorageSettings(Section):
     @model_validator(mode="before")
     @classmethod
     def _journal_is_always_used(cls, values: object) -> object:
+        """Remove the key `journal` of earlier versions."""
         if not (isinstance(values, dict) and "journal" in values):
             return values
         if values["journal"] is not True:
@@ -302,6 +305,7 @@ class StorageSettings(Section):
 
     @model_validator(mode="after")
     def _limits_follow_each_other(self) -> Self:
+        """Check that the levels of disk space are in order."""
         if not self.stop_free_fraction <= self.alarm_free_fraction <= self.warn_free_fraction:
             raise ValueError(
                 f"stop_free_fraction is {self.stop_free_fraction:g}, alarm_free_fraction "
@@ -378,6 +382,7 @@ class Settings(BaseSettings):
     @field_validator("positions")
     @classmethod
     def _plain_names(cls, positions: dict[str, PositionSettings]) -> dict[str, PositionSettings]:
+        """Check the characters of the positions' names."""
         for name in positions:
             if not (name.isascii() and name.isalnum() and len(name) <= 16):
                 raise ValueError(f"position name {name!r}: use up to 16 ASCII letters and digits")
@@ -385,6 +390,7 @@ class Settings(BaseSettings):
 
     @model_validator(mode="after")
     def _parts_fit(self) -> Self:
+        """Check that the tables agree with one another."""
         if self.baseline.minimum_valid_shots > self.schedule.shots_per_set:
             raise ValueError(
                 f"baseline.minimum_valid_shots is {self.baseline.minimum_valid_shots}; it must be at most "
@@ -496,6 +502,7 @@ class Settings(BaseSettings):
 
 
 def _with_inherited_tables(place: Mapping[str, object], common: Mapping[str, object]) -> dict[str, object]:
+    """Return a position with the values that it inherits from common tables."""
     filled = dict(place)
     for table in ("chain", "plate", "corrosion"):
         above, own = common.get(table, {}), filled.get(table, {})

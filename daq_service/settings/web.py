@@ -60,6 +60,7 @@ class WebSettings(BaseModel):
 
     @model_validator(mode="after")
     def _doors_have_locks(self) -> Self:
+        """Check that a service that other computers reach is encrypted and knows its host names."""
         if bool(self.tls_certificate) != bool(self.tls_key):
             raise ValueError("web.tls_certificate and web.tls_key belong together; give both or none")
         if self.is_reachable and not (self.tls_certificate or self.proxy):

@@ -91,6 +91,7 @@ class BoundedHttp(HttpToolsProtocol):
         return self.cycle is not None and not self.cycle.response_complete
 
     def _all_waiting(self) -> list[BoundedHttp]:
+        """Return the connections that wait for a complete request."""
         return [
             connection
             for connection in self.connections
@@ -106,6 +107,7 @@ class BoundedHttp(HttpToolsProtocol):
         return len(waiting) > MOST_WAITING or same_address > MOST_WAITING_OF_ADDRESS
 
     def _check_waiting(self) -> None:
+        """Close a connection whose request is late, or one of too many; check again later."""
         self._n_checks += 1
         if self._in_headers and self._is_answering():  # the next request may take until this one is answered
             self._schedule_check()
@@ -118,6 +120,7 @@ class BoundedHttp(HttpToolsProtocol):
             self._schedule_check()
 
     def _refuse(self, status: HTTPStatus) -> None:
+        """Answer with a status and close the connection."""
         self._stop_waiting()
         message = (
             f"{status.phrase}: a request's headers must come within {HEADERS_WITHIN_S:g} s and take at most "

@@ -133,6 +133,7 @@ def _too_slow() -> Problem:
 
 
 def _find_problem(scope: Scope, headers: Headers, names: frozenset[str]) -> Problem | None:
+    """Return the problem of a request's headers, host or origin; None if there is none."""
     if (header_bytes := sum(len(name) + len(value) for name, value in headers.raw)) > LARGEST_HEADERS_BYTES:
         return Problem(
             "headers-too-large",
@@ -156,6 +157,7 @@ def _find_problem(scope: Scope, headers: Headers, names: frozenset[str]) -> Prob
 
 
 def _hostname(address: str) -> str | None:
+    """Return the host of an address; None if it is malformed."""
     try:
         return urlsplit(address).hostname
     except ValueError:

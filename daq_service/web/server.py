@@ -143,6 +143,7 @@ def collect_garbage_seldom() -> None:
 
 
 def _loop(config: uvicorn.Config) -> asyncio.AbstractEventLoop:
+    """Return an event loop with a limited time for TLS handshakes."""
     factory = config.get_loop_factory()
     loop = asyncio.new_event_loop() if factory is None else factory()
     if config.is_ssl:  # uvicorn has no such option

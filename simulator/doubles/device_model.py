@@ -236,6 +236,7 @@ class Brain:
     def _obeying_faults(
         self, client: str, entry: EntryPoint, attribute: str, arguments: Arguments
     ) -> dict[str, Any]:
+        """Answer a call, unless an injected fault decides otherwise."""
         fault = self.faults.due(entry.name, attribute)
         if fault is not None and fault.kind == "death":
             self._die()
@@ -250,6 +251,7 @@ class Brain:
         return self._answer(client, entry, arguments)
 
     def _answer(self, client: str, entry: EntryPoint, arguments: Arguments) -> dict[str, Any]:
+        """Answer a call by its handler."""
         if entry.library == "niScope":
             return dict(self.niscope.call(client, entry.name, arguments))
         with self.bench.changed:

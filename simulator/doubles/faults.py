@@ -161,6 +161,7 @@ def wrong_answer(
 
 
 def _distorted(parameter: Parameter, value: Any) -> Any:
+    """Return a wrong value of a parameter."""
     if parameter.role is Role.OUT_TEXT:
         return ""
     if parameter.role is Role.OUT_ARRAY:

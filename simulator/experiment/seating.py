@@ -107,6 +107,7 @@ class _Sources:
 
 @lru_cache(maxsize=64)
 def _sources(level: str, chain: ChainParameters) -> _Sources:
+    """Return the effects of each source of variation on the parameters of a chain."""
     n = chain.bodies
     of_stiffness, of_damping, last = np.eye(n), np.zeros((n, n)), np.eye(2 * n + 3)[:, 2 * n :]
     curvature = _curvature(chain)

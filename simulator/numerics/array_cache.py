@@ -178,6 +178,7 @@ def _keep_within(folder: Path, limit_bytes: int) -> None:
 
 
 def _entries(folder: Path) -> list[os.DirEntry[str]]:
+    """Return the files of a cache folder; none if it cannot be read."""
     try:
         with os.scandir(folder) as found:
             return list(found)

@@ -137,6 +137,8 @@ def _lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[
 
 
 def _call_of(name: str) -> Callable[[Any, Any], Any]:
+    """Return a function that emits the call of a vector function."""
+
     def emit(builder: Any, values: Any) -> Any:
         kind = values[0].type
         function_type = ir.FunctionType(kind, [kind] * len(values))

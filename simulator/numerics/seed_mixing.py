@@ -48,6 +48,7 @@ def _hashed(value: np.uint32, before: np.uint32, after: np.uint32) -> Any:
 
 @compiled(error_model="numpy")
 def _mixed(words: Words, n_out: int) -> Words:
+    """Mix the words of a seed as numpy's `SeedSequence`; return ``n_out`` words."""
     n, pool = words.shape[0], np.empty(POOL, np.uint32)
     constant = FIRST_HASH
     for k in range(POOL):

@@ -167,6 +167,7 @@ class ChainParameters:
         return self.mass_kg if other.radius_m is None else self.mass_kg * (radius / self.radius_m) ** 3
 
     def _check_spheres(self) -> None:
+        """Raise an error for spheres that the chain does not have, or that are described twice."""
         described: set[int] = set()
         for other in self.spheres:
             if other.bodies[-1] >= self.bodies:
@@ -188,6 +189,7 @@ class ChainParameters:
             _check_density(f"mass_kg of body {other.body}", self._mass_kg(other), radius)
 
     def _check_moduli(self) -> None:
+        """Raise an error for spheres that would be too soft."""
         given = [self.youngs_modulus_pa]
         given += [other.youngs_modulus_pa for other in self.spheres if other.youngs_modulus_pa is not None]
         softest = youngs_modulus_at_pa(min(given), self.youngs_modulus_change_per_k, self.temperature_c)

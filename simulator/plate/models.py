@@ -93,6 +93,7 @@ class CachedSolid:
             return found
 
     def _found(self, corrosion: CorrosionParameters) -> PlateModes:
+        """Return the modes of a thinned plate, from the family of bases where that is exact enough."""
         check_solid(self._plate, corrosion)
         lost = corrosion.depth_fraction * corrosion.depth_factor
         if not self._plate.solid.one_basis or lost < SHALLOWEST_FRACTION:
@@ -103,6 +104,8 @@ class CachedSolid:
             return self._family.modes(1.0 - lost)
 
     def _kept_modes(self, corrosion: CorrosionParameters) -> PlateModes:
+        """Return the modes of a thinned plate from the cache, or compute them."""
+
         def compute() -> dict[str, FloatArray]:
             with one_blas_thread():
                 return asdict(solid_modes(self._plate, corrosion))
@@ -113,6 +116,8 @@ class CachedSolid:
         return PlateModes(**found, residual_compliance_m_per_n=residual_m_per_n)
 
     def _kept_family(self) -> SolidFamily:
+        """Return the family of modes from the cache, or compute it."""
+
         def compute() -> dict[str, FloatArray]:
             with one_blas_thread():
                 return solid_family(self._plate, self._corrosion).arrays()

@@ -387,6 +387,7 @@ def _sum_of_eight(sums: FloatArray, width: int) -> Any:
 
 @_step
 def _predict_places(bodies: Bodies, last: LastBody, row_of_last: int, size: int, h24: float) -> None:
+    """Predict the displacements of all bodies by an Adams-Bashforth step."""
     for k in range(0, size, BLOCK):
         past = fma(load(bodies.v2, k, BLOCK), 37.0, -9.0 * load(bodies.v3, k, BLOCK))
         past = fma(load(bodies.v1, k, BLOCK), -59.0, past)
@@ -603,6 +604,7 @@ def _energy_of_bodies(bodies: Bodies, last: LastBody, contact: Contact, chains: 
 
 @_step
 def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody) -> None:
+    """Add the energy of the plate's modes of two shots to their sums."""
     total, other = broadcast(0.0, BLOCK), broadcast(0.0, BLOCK)
     i, s = last.i, last.s[0]
     of_first = lane(i[0], 0), lane(i[1], 0), lane(i[2], 0), lane(s, 0)
@@ -635,6 +637,7 @@ def _energy_of_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, l
 def _energy_of_modes_of_many(
     y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody, width: int
 ) -> None:
+    """Add the energy of the plate's modes of ``width`` shots to their sums."""
     acting = last.i[0], last.i[1], last.i[2], last.s[0]
     for j in range(BLOCK):
         total = broadcast(0.0, width)
@@ -691,6 +694,8 @@ def kernel(width: int, linear: bool) -> Callable[..., None]:
 
 
 def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
+    """Return the time integration for ``W`` shots at once, with or without linear contacts."""
+
     def integrate(
         chains: Chains,
         strikes: Strikes,

@@ -420,6 +420,7 @@ class ShotModel:
         )
 
     def _propagator(self, depth: float, step: float, wide: bool, modulus: float) -> Propagator:
+        """Return the modes of a thinned wall for a time step, from those prepared before."""
         if self._modal_plate is None:
             still = _specimen_without_modes(self._plate)
             return still._replace(mobility_m_per_n_s=still.mobility_m_per_n_s / math.sqrt(modulus))

@@ -51,6 +51,7 @@ def table_2() -> tuple[Table2Row, ...]:
 
 
 def _row(drop_height_m: float) -> Table2Row:
+    """Compute a row of table 2 for a drop height in m."""
     chain = ChainParameters(poisson_ratio=0.28)
     plate = PlateParameters()
     speed = round(math.sqrt(2.0 * FREE_FALL_M_PER_S2 * drop_height_m), 2)

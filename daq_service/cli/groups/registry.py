@@ -32,6 +32,7 @@ class _Positive(click.FloatRange):
     """Positive finite number: a range alone accepts infinity and NaN."""
 
     def convert(self, value: float, param: click.Parameter | None, ctx: click.Context | None) -> float:
+        """Convert a text to a finite number."""
         number = super().convert(value, param, ctx)
         if not math.isfinite(number):
             self.fail(f"{value} is no finite number.", param, ctx)
@@ -73,6 +74,7 @@ def call(target: str, starting: str = "", **options: Any) -> int:
 
 
 def _command(name: str, table: Table) -> click.Command:
+    """Return a command, or a group of commands, from its entry in the table."""
     text = f"{table['summary']}\n\n{table.get('details', '')}"
     if "commands" in table:
         return click.Group(name, [_command(*item) for item in table["commands"].items()], help=text)
@@ -81,6 +83,7 @@ def _command(name: str, table: Table) -> click.Command:
 
 
 def _parameters(options: Sequence[str | Table]) -> Iterator[click.Parameter]:
+    """Yield the options of a command; a name is a shared option."""
     for option in options:
         if isinstance(option, str):
             shared: Table | Sequence[str] = _SHARED[option]
@@ -98,6 +101,7 @@ def _parameter(
     range: Table | None = None,  # noqa: A002 - a key of the file
     **attributes: Any,
 ) -> click.Parameter:
+    """Return an option or argument of click from its entry in the table of commands."""
     kind = click.Choice(choices) if choices else _TYPES.get(type)
     if range is not None:
         kind = (click.IntRange if isinstance(range["min"], int) else click.FloatRange)(**range)

@@ -279,6 +279,7 @@ def _forget(path: Path) -> None:
 
 
 def _sync(path: Path) -> None:
+    """Sync a file to disk."""
     descriptor = os.open(path, os.O_RDWR | O_BINARY)
     try:
         os.fsync(descriptor)

@@ -81,6 +81,7 @@ def export_records(
 def _write(
     folder: Path, position: str | None, table: str, targets: Sequence[Path], make: Make, *, overwrite: bool
 ) -> list[ExportedTable]:
+    """Write a table to each target in the format of its suffix."""
     forms = [_form(target) for target in targets]
     for target in targets:
         refuse_target(folder, target, overwrite=overwrite)
@@ -98,6 +99,7 @@ def _write(
 
 
 def _form(target: Path) -> str:
+    """Return the format of a target's suffix."""
     form = {"hdf5": "h5"}.get(target.suffix[1:].lower(), target.suffix[1:].lower())
     if form not in FORMATS:
         raise UsageError(f"{target} has no known ending; choose from {', '.join(FORMATS)}")

@@ -168,6 +168,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
 
 
 def _tally_text(counts: Mapping[str, int]) -> str:
+    """Return the counts of the comparison in words."""
     return (
         f"{counts['values']}: {counts['agree']} agree to rounding, {counts['deviate']} deviate, "
         f"{counts['words']} are words in the paper, {counts['not_available']} are not available here"

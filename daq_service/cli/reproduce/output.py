@@ -55,6 +55,7 @@ def csv_bytes(table: Table) -> bytes:
 
 
 def _cell(value: object) -> str:
+    """Return a value as a cell of a CSV file."""
     if value is None:
         return ""
     if isinstance(value, float):  # numpy's float64 too

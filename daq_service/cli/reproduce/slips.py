@@ -73,6 +73,7 @@ def _one(material: Material, name: str) -> models.Pulse:
 
 
 def _dashpot(material: Material) -> str:
+    """Return the finding on the printed dashpot term."""
     overlap_m = indentation_m(
         _one(material, "sphere").isw_peak_n,
         sphere_on_sphere_stiffness(_SPHERE.radius_m, _SPHERE.youngs_modulus_pa, _SPHERE.poisson_ratio),
@@ -87,6 +88,7 @@ def _dashpot(material: Material) -> str:
 
 
 def _bracket(_: Material) -> str:
+    """Return the finding on the printed bracket of the contact stiffness."""
     E, nu, radius = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio, _SPHERE.radius_m
     as_printed = 4.0 * math.sqrt(radius) / 3.0 * 2.0 / plane_modulus_pa(E, nu)
     right = sphere_on_flat_stiffness(radius, E, nu, E, nu)
@@ -100,6 +102,7 @@ def _shear(_: Material) -> str:
 
 
 def _locking(material: Material) -> str:
+    """Return the finding on locking elements, from the settings that come nearest to the paper's values."""
     tof_us, ar = printed("fig12", "tof"), printed("fig12", "ar")
     candidates = {label: _one(material, name) for name, (label, _) in _CANDIDATES.items()}
 
@@ -115,6 +118,7 @@ def _locking(material: Material) -> str:
 
 
 def _point_load(material: Material) -> str:
+    """Return the finding on the convergence with the element at the contact."""
     shots = [
         f"{1e3 * size_m:g} mm: {shot.tof_us:.2f} us, {shot.amplitude_ratio:.4f}"
         for size_m in (1e-3, 1e-4, 1e-5)
@@ -124,6 +128,7 @@ def _point_load(material: Material) -> str:
 
 
 def _not_monotonic(material: Material) -> str:
+    """Return the finding that the amplitude ratio is not monotonic in depth."""
     shots: list[models.Pulse] = material.result("disk_depths")
     minimum = min(shots, key=lambda shot: shot.amplitude_ratio)
     first, last = shots[0], shots[-1]
@@ -137,6 +142,7 @@ def _not_monotonic(material: Material) -> str:
 
 
 def _equation_13(material: Material) -> str:
+    """Return the finding on the time of flight by equation 13."""
     chain_us = _one(material, "free_wall").tof_us
     equation_us = 1e6 * material.result("zener_wall").tof_s
     return (
@@ -147,6 +153,7 @@ def _equation_13(material: Material) -> str:
 
 
 def _thresholds(material: Material) -> str:
+    """Return the finding on the limit mean + 3 SD and its false-alarm rate."""
     sentences = []
     for name, pulses in material.test.pulses.items():
         baseline = pulses.baseline
@@ -168,6 +175,7 @@ def _thresholds(material: Material) -> str:
 
 
 def _row_5(_: Material) -> str:
+    """Return the finding on row 5 of table 2."""
     rounded_e = printed("table2", "restitution_5")
     row = models.zeners_table()[4]
     return (
@@ -179,6 +187,7 @@ def _row_5(_: Material) -> str:
 
 
 def _thinner(_: Material) -> str:
+    """Return the finding on the thickness at the end, by probe and by core."""
     initial, read, core = (printed("fig15", name) for name in ("initial", "thickness_300", "core"))
     line = initial - (initial - read) / 300.0 * printed("table1", "end")
     return (
@@ -190,6 +199,7 @@ def _thinner(_: Material) -> str:
 
 
 def _poisson(material: Material) -> str:
+    """Return the finding on Poisson's ratio in table 2."""
     shot, other = _one(material, "disk"), _one(material, "disk_nu")
     return (
         f"nu of spheres and disks 0.28 in place of 0.3 moves ToF from {shot.tof_us:.2f} to "
@@ -204,6 +214,7 @@ def _energy(_: Material) -> str:
 
 
 def _gamma(material: Material) -> str:
+    """Return the finding on the damping coefficient gamma."""
     weak, strong = _one(material, "disk"), _one(material, "disk_gamma")
     return (
         f"gamma {STRONG_GAMMA_N_S_PER_M:g} N s/m moves ToF by {strong.tof_us - weak.tof_us:+.1f} us "

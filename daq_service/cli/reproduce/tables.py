@@ -33,6 +33,7 @@ def make_table1(material: Material) -> Product:
 
 
 def _loss_at_d(material: Material) -> Found:
+    """Return the wall loss at D in percent, from the truth of the twin."""
     known = [trace for trace in material.test.traces.get("D", ()) if "depth_fraction" in trace.truth]
     if not known:
         return missing("nobody measured the wall at D")

@@ -154,6 +154,8 @@ class Boards:
 
 
 def _number_within(low: float, high: float) -> Callable[[str], float]:
+    """Return a parser of numbers within bounds."""
+
     def parse(text: str) -> float:
         value = float(text)
         if not low < value <= high:

@@ -215,6 +215,7 @@ class Kinds:
         return trial
 
     def _ask_instrument(self, position: str, role: Role) -> str:
+        """Ask which instrument has a role at a position; skip the question if only one can."""
         able = [name for name, offer in self.offers.items() if role in offer.roles]
         if len(able) == 1:
             self.dialogue.report(f"{position}      {role}: {able[0]}")

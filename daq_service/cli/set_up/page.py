@@ -118,6 +118,7 @@ def page_app(dialogue: Dialogue, scope: Scope, audience: Audience) -> FastAPI:
 
     @app.get("/api/state")
     async def get_state() -> JsonAnswer:
+        """Return the state of the dialogue for the page."""
         state = {**dialogue.as_row(), "position": scope.position, "strikes": scope.strikes}
         answer = JsonAnswer({**state, "done": audience.done})
         audience.note_request()

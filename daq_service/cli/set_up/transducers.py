@@ -94,6 +94,7 @@ def set_up_transducers(dialogue: Dialogue, instruments: Instruments, flags: Flag
 
 
 def _ask_for_transducers(dialogue: Dialogue, instruments: Instruments) -> None:
+    """Ask for the wiring of each transducer and strike it on request."""
     while (position := _ask_position(dialogue, instruments.wired)) is not None:
         instruments.ask_wiring(position)
         while _strikes_or_goes_on(dialogue, position):

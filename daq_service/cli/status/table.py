@@ -183,6 +183,7 @@ def disk_text(disk: Facts) -> str:
 
 
 def _table(*columns: str) -> Table:
+    """Return an empty table with columns."""
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False, collapse_padding=True, header_style="bold")
     for column in columns:
         table.add_column(column)

@@ -100,6 +100,7 @@ def sweep(request: SweepRequest, columns: Columns, *, as_json: bool) -> None:
 
 
 def _axes(request: SweepRequest) -> list[Axis]:
+    """Return the axes of a sweep from its file or its options."""
     if request.sweep_file is not None:
         if request.sweeps or request.depths is not None:
             raise UsageError("--sweep-file holds every shot: give it without --sweep and --depths")
@@ -119,6 +120,7 @@ def _specification(request: SweepRequest) -> list[str]:
 
 
 def _print(table: SweepTable, outputs: Sequence[Path], columns: Columns, *, as_json: bool) -> None:
+    """Print the table, or its facts as JSON."""
     if as_json:
         shots = {} if outputs else {"shots": table.rows()}
         click.echo(json.dumps({**table.facts, "outputs": [str(path) for path in outputs], **shots}))

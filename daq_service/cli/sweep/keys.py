@@ -47,6 +47,7 @@ def known_keys() -> tuple[str, ...]:
 
 
 def _keys_of(section: type, above: str) -> Iterator[str]:
+    """Yield the keys of a section and of the tables below it."""
     hints = get_type_hints(section)
     for field in fields(section):
         key = f"{above}.{field.name}"
@@ -129,6 +130,7 @@ _ADAPTERS: Mapping[type, TypeAdapter[Any]] = {section: TypeAdapter(section) for 
 
 
 def _explained(error: ValidationError) -> str:
+    """Return the messages of a validation error in one line."""
     problems = []
     for problem in error.errors():
         where = ".".join(str(part) for part in problem["loc"])

@@ -93,6 +93,7 @@ def csv_text(table: SweepTable) -> str:
 
 
 def _cells(values: Column) -> list[str]:
+    """Return a column as cells of a CSV file."""
     if isinstance(values, list):
         return list(map(spreadsheet_cell, values))
     if values.dtype == np.bool_:
@@ -124,6 +125,7 @@ def parquet_bytes(table: SweepTable) -> bytes:
 
 
 def _pyarrow() -> Any:
+    """Return the module pyarrow; raise an error with the remedy if it is not installed."""
     try:
         import pyarrow
     except ImportError as error:
@@ -135,6 +137,7 @@ def _pyarrow() -> Any:
 
 
 def _write(path: Path, content: bytes) -> None:
+    """Write a file durably."""
     try:
         write_durably(path, content, temporary=path.with_name(path.name + ".part"))
     except OSError as error:

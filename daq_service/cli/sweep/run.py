@@ -106,6 +106,7 @@ def _outcomes(
 
 
 def _refused(plan: Plan, row: Row) -> Outcome:
+    """Return the outcome of a row whose parameters are invalid."""
     return Outcome(
         index=row.index,
         numbers=(math.nan,) * len(RESULTS[plan.model]),
@@ -127,6 +128,7 @@ def _refuse_invalid(plan: Plan, options: SweepOptions, outcomes: Sequence[Outcom
 
 
 def _drop(path: Path) -> None:
+    """Remove the work file."""
     try:
         patiently(path.unlink)
     except OSError as error:

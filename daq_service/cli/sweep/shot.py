@@ -94,6 +94,7 @@ def compute_rows(model: str, rows: Sequence[tuple[int, Specimen]], waveforms: bo
 
 
 def _outcome(model: str, index: int, specimen: Specimen, waveforms: bool) -> Outcome:
+    """Compute one shot; return its numbers, or its status if there are none."""
     no_numbers = (math.nan,) * len(RESULTS[model])
     try:
         if model == "zener":

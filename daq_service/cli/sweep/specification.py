@@ -100,6 +100,7 @@ def _items(text: str) -> list[str]:
 
 
 def _values_of(item: str, text: str) -> Sequence[object]:
+    """Return the values of one item of an axis: a value, or a range FIRST:LAST:COUNT."""
     parts = item.split(":")
     if len(parts) == 1 or item[0] in '[{"':
         return [_value(item)]

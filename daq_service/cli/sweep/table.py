@@ -120,6 +120,7 @@ def _column(values: list[object]) -> Column:
 
 
 def _plain_list(values: Column) -> Sequence[object]:
+    """Return a column as a list; NaN becomes None."""
     if isinstance(values, list):
         return values
     cells = values.tolist()

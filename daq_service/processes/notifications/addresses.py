@@ -83,6 +83,7 @@ def refuse_unusable(settings: NotificationSettings) -> None:
 
 
 def _configured_text(name: str, key: str, file: str, variable: str, environment: Mapping[str, str]) -> str:
+    """Return an address or secret from its variable or file."""
     if variable:
         text = environment.get(variable, "").strip()
         if not text:

@@ -145,6 +145,7 @@ class DeliveryLog:
 
 
 def _delivery_of(row: object) -> Delivery:
+    """Return the delivery of a line of any version."""
     assert isinstance(row, dict)
     progress = row["place"]
     if "told" in row:  # line of an earlier version

@@ -232,6 +232,7 @@ def _counts_text(changes: Sequence[AlarmChange]) -> str:
 
 
 def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int) -> dict[str, object]:
+    """Return the facts of a change of an alarm for a message."""
     age_s = max(0.0, (now_ns - item.wall_utc_ns) / NS_PER_S)
     at_set = "" if item.set_key is None else f", set {item.set_key}, quality {quality or 'unknown'}"
     sentences = [
@@ -255,6 +256,7 @@ def _alarm_facts(test: Test, item: AlarmChange, quality: str | None, now_ns: int
 
 
 def _link(test: Test, item: AlarmChange) -> str | None:
+    """Return the link to an alarm on the page; None if the page has no address."""
     if not test.page:
         return None
     view = {"position": item.position, "set": item.set_key}
@@ -263,6 +265,7 @@ def _link(test: Test, item: AlarmChange) -> str | None:
 
 
 def _age_text(seconds: float) -> str:
+    """Return an age in hours, minutes or seconds as text."""
     for size, unit in ((NS_PER_H / NS_PER_S, "h"), (60.0, "min")):
         if seconds >= 2.0 * size:
             return f"{seconds / size:.1f} {unit}"

@@ -207,6 +207,7 @@ class ReceiverQueue:
     # Outgoing messages
 
     def _deliver(self) -> None:
+        """Send the waiting changes as one message, or retry the message that failed."""
         if self._current is None:
             changes = self._waiting.due(self._machine.mono_s())
             if not changes:

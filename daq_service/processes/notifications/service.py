@@ -99,12 +99,14 @@ class Notifications:
             thread.join(LONGEST_END_S)
 
     def _start_thread(self, target: Callable[[], None], name: str) -> threading.Thread:
+        """Start a thread and return it."""
         thread = threading.Thread(target=target, name=name, daemon=True)
         self._threads.append(thread)
         thread.start()
         return thread
 
     def _new_queues(self) -> dict[str, ReceiverQueue]:
+        """Return a queue for each receiver."""
         parts, queues = (self.settings, self._source, self.deliveries), dict[str, ReceiverQueue]()
         for name, receiver in self.settings.receivers.items():
             send, send_test = (partial(self._send, name, receiver, self._new_cut()) for _ in range(2))
@@ -112,10 +114,12 @@ class Notifications:
         return queues
 
     def _new_cut(self) -> Cut:
+        """Return a new object by which closing the service cuts a delivery short."""
         self._cuts.append(Cut())
         return self._cuts[-1]
 
     def _send(self, name: str, receiver: ReceiverSettings, cut: Cut, message: Message) -> Outcome:
+        """Send a message to a receiver of either kind."""
         address = address_of(name, receiver)
         if receiver.kind == "apprise":
             return deliver_by_apprise(address, message)

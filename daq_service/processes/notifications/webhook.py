@@ -140,6 +140,7 @@ def post(
 
 
 def _connect(scheme: str, host: str, port: int, cut: Cut) -> socket.socket:
+    """Connect to the receiver, with TLS if the scheme is https."""
     connection = socket.create_connection((host, port), timeout=CONNECT_WITHIN_S)
     try:
         connection.settimeout(READ_WITHIN_S)
@@ -158,6 +159,7 @@ def _connect(scheme: str, host: str, port: int, cut: Cut) -> socket.socket:
 
 
 def _outcome(status: int, retry_after: str | None, now_s: float) -> Outcome:
+    """Return the outcome of a response."""
     if 200 <= status < 300:
         return Outcome(ok=True, description=f"taken ({status})", status=status)
     description = f"the receiver answers {status} {http.client.responses.get(status, '')}".rstrip()

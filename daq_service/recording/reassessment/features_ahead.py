@@ -73,6 +73,7 @@ class ExtractedAhead:
 def _extracted(
     rehearsal: bool, records: Sequence[tuple[int, ShotKey, Stamp, Waveform]]
 ) -> dict[int, ShotFeatures]:
+    """Extract the features of records in a worker process."""
     shots = [
         Shot(sequence=sequence, key=key, stamp=stamp, waveform=waveform)
         for sequence, key, stamp, waveform in records

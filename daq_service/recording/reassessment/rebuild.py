@@ -189,6 +189,8 @@ def _update_copies(folder: Path, progress: Progress | None) -> list[str]:
 
 
 def _warnings(history: History, kept: Salvaged, found: Restored, not_tiled: list[str]) -> list[str]:
+    """Return the warnings about history, old catalogue, sets and tiles, ten of each at most."""
+
     def some(lines: Iterable[str], what: str) -> list[str]:
         listed = list(lines)
         return [f"{what}: {line}" for line in listed[:10]] + (

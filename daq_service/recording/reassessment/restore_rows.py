@@ -143,6 +143,7 @@ class _Restoration:
         self._result = Restored()
 
     def run(self, progress: Progress) -> Restored:
+        """Restore or compute the rows of every set, in the order of the history."""
         files = dict(self._archive.sets())
         total = len(files)
         runs = list(runs_of(event for _, event in sorted(self._history.events.items())))
@@ -182,6 +183,7 @@ class _Restoration:
             repeat_action(event, self._set_assessor.assessors, self._settings.positions)
 
     def _take_alarm(self, event: EventRow) -> None:
+        """Update the alarms and delays with an event of the history."""
         self._set_assessor.take_stored(event)
         if event.topic == "alarms" and event.kind != DELAY_EVENT:
             row = row_of(AlarmRow, event, "alarm_id")
@@ -258,6 +260,7 @@ class _Restoration:
     # Sets that are assessed -----------------------------------------------------------------------
 
     def _assess(self, reference: SetReference, events: Sequence[EventRow], free: Sequence[int]) -> None:
+        """Restore the rows of a set from its file, and compute those that the history lacks."""
         damage = ""
         try:
             record = self._archive.read_set(reference)
@@ -296,6 +299,7 @@ class _Restoration:
         self._result.computed += 1
 
     def _digest(self, reference: SetReference) -> str | None:
+        """Return the stored SHA-256 of a file; None if there is none."""
         found, expected = self._archive.digest(reference), self._history.digests.get(reference)
         if found is not None and expected not in (None, found):
             self._result.damaged.append(f"{reference} is not the file that was stored: its SHA-256 differs")
@@ -309,6 +313,7 @@ class _Restoration:
     def _commit(
         self, transaction: Transaction, events: Sequence[EventRow], *, computed_alarms: bool = False
     ) -> None:
+        """Store the rows and events of a set."""
         if computed_alarms:
             # This set has no events: its alarms follow from its assessment.
             self._store_pending()
@@ -441,6 +446,7 @@ def _reported_rows(transaction: Transaction) -> list[Row]:
 
 
 def _merged(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow]:
+    """Return the stored rows of a set, and computed ones of other positions."""
     digests = {row.position: row.file_sha256 for row in computed}
     rows = {row.position: row for row in computed}
     rows |= {row.position: replace(row, file_sha256=digests.get(row.position)) for row in stored}
@@ -452,6 +458,7 @@ def _rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
 
 
 def _differences(computed: Sequence[EventRow], stored: Sequence[EventRow]) -> list[str]:
+    """List the computed results that differ from the stored events."""
     found = {_key(event): event for event in computed if event.kind in _COMPUTED}
     return [
         f"set {event.set_key}, {event.position}: {event.kind}"

@@ -561,6 +561,7 @@ TREND_FIELDS = (*MEASURED_FIELDS, *TREND_ASSESSMENTS)
 
 
 def _trend_columns() -> type[Answer]:
+    """Return the model of a trend's columns."""
     of_assessment = {column.name: column for column in rows.columns_of(rows.AssessmentRow)}
     kinds: Fields = dict.fromkeys(TREND_FIELDS, float | None)
     kinds |= {name: of_assessment[name].type for name in TREND_ASSESSMENTS}

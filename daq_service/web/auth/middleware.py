@@ -121,6 +121,7 @@ class AccessPolicy:
         )
 
     def _token_text(self, scope: Scope, headers: Headers) -> str | None:
+        """Return the token of a request from its header or cookie; None without one."""
         scheme, _, text = headers.get("authorization", "").partition(" ")
         if scheme:
             return text.strip() if scheme.lower() == "bearer" else ""
@@ -131,6 +132,7 @@ class AccessPolicy:
         return None if morsel is None else morsel.value
 
     def _refuse_plain(self, scope: Scope, headers: Headers) -> None:
+        """Raise a problem for an unencrypted request from another computer."""
         if not self._web.is_reachable or is_encrypted(scope):
             return
         host = urlsplit(f"//{headers.get('host', '')}").hostname
@@ -142,6 +144,7 @@ class AccessPolicy:
             )
 
     def _allowance(self, address: str) -> Allowance:
+        """Return the rate limit of wrong tokens of an address."""
         allowance = self._wrong.pop(address, None) or Allowance(MOST_WRONG, WRONG_EVERY_S)
         self._wrong[address] = allowance
         if len(self._wrong) > MOST_ADDRESSES:
@@ -232,6 +235,7 @@ def address_of(scope: Scope) -> str:
 
 
 def _is_loopback(address: str) -> bool:
+    """Return whether an address is that of this computer."""
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:

@@ -193,6 +193,7 @@ class KnownTokens:
         )
 
     def _reload(self) -> None:
+        """Read the tokens again if their file has changed."""
         if self._machine.mono_s() < self._next_s:
             return
         self._next_s = self._machine.mono_s() + LOOK_EVERY_S

@@ -26,6 +26,7 @@ RESOURCES = (routes, session, tokens, audit)
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    """Maintain the tests while the application runs, then close them."""
     tests: ServedTests = app.state.tests
     maintenance = asyncio.create_task(tests.maintain())
     try:

@@ -39,6 +39,7 @@ class _CachedEntry:
     read_s: float
 
     def is_current(self, now_s: float) -> bool:
+        """Return whether the entry need not be read again."""
         if now_s - self.read_s < CHANGING_S:
             return True
         standing = self.entry.standing
@@ -75,6 +76,7 @@ class Listing:
         return sum(cached.entry.state == "shown" for cached in list(self._cached.values()))
 
     def _entry(self, test: ServedTest) -> ListedTest:
+        """Return the entry of a test, with its present state or the reason of its absence."""
         page = f"/tests/{test.name}/"
         standing, absence = None, None
         try:
@@ -112,6 +114,7 @@ def _mark_of(folder: Path) -> tuple[int, ...]:
 
 
 def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> Standing:
+    """Return the present state of a test."""
     fresh = Freshness(folder, catalogue, settings.clock.kind)
     summaries = catalogue.positions_state()
     hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)

@@ -97,6 +97,7 @@ def locate_test(path: Path, access_policy: AccessPolicy) -> tuple[Settings, Path
 
 
 def _settings_and_folder(path: Path) -> tuple[Settings, Path]:
+    """Return settings and data folder of a configuration or a data folder."""
     if is_configuration(path):
         try:
             return settings_and_folder(path, None)
@@ -117,6 +118,7 @@ def _settings_and_folder(path: Path) -> tuple[Settings, Path]:
 
 
 def _experiment(folder: Path) -> ExperimentRow:
+    """Return the row of the test, from its file if the catalogue is lost."""
     try:
         with open_catalogue(folder) as catalogue:
             return catalogue.experiment_row()

@@ -100,6 +100,7 @@ class ServedTests:
             test.used_s = time.monotonic()
 
     async def _open(self, test: ServedTest) -> Context:
+        """Open a test with its background tasks."""
         await self.close_idle(keep=MOST_IDLE - 1)
         try:
             settings, folder = await asyncio.to_thread(locate_test, test.path, self.access_policy)

@@ -216,6 +216,7 @@ def read_contents(
 
 
 def _sets(catalogue: Catalogue, position: str, filters: Filters) -> list[SetRow]:
+    """Return the sets of a position in the range; raise an error if they are too many."""
     position_filters: Filters = {**filters, "position": position}
     rows = catalogue.rows(SetRow, limit=MOST_SETS + 1, **position_filters)
     if len(rows) > MOST_SETS:
@@ -236,6 +237,7 @@ def _position_report(
     sets: Sequence[SetRow],
     filters: Filters,
 ) -> PositionReport:
+    """Return the present state and the columns of a position."""
     position_settings = settings.positions[name]
     last = summary or LatestRows(position=name, method=position_settings.method)
     data_h = data_hour(last)
@@ -298,6 +300,7 @@ def _was_active(row: AlarmRow, experiment: ExperimentRow, from_h: float, to_h: f
 
 
 def _history(catalogue: Catalogue, ids: set[int | None]) -> dict[int, list[EventRow]]:
+    """Return the events of alarms by the id of the alarm."""
     events_by_alarm: dict[int, list[EventRow]] = {}
     for event in catalogue.rows(EventRow, topic="alarms"):
         alarm_id = event.payload.get("alarm_id")

@@ -74,6 +74,7 @@ def svg_of(figure: Figure, prefix: str) -> str:
 
 
 def _wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
+    """Draw time of flight, amplitude ratio and squared distance of a transducer."""
     assert position.assessments is not None, "these have them"
     for axis, name, factor, label in (
         (axes[0], "tof_pp_s", 1e6, "time of flight (µs)"),
@@ -99,6 +100,7 @@ def _wave_panels(contents: Contents, position: PositionReport, axes: Sequence[Ax
 
 
 def _echo_panels(contents: Contents, position: PositionReport, axes: Sequence[Axes]) -> None:
+    """Draw the wall thickness of a probe with limit and interval."""
     _points(axes[0], position.values, "thickness_m", 1e3, "wall (mm)")
     if position.limit is not None:
         axes[0].axhline(1e3 * position.limit, color=VERMILLION, label="alarm below")

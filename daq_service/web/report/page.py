@@ -101,6 +101,7 @@ def _series_rows(position: PositionReport) -> Iterator[Row]:
 def _series_row(
     quantity_name: str, columns: Columns, name: str, factor: float, digits: int, unit: str
 ) -> Row:
+    """Return the statistics of a quantity as a row of a table."""
     values = [value for value in columns[name] if value is not None]
     if not values:
         return (quantity_name, "0", *[NOT_KNOWN] * 5, "")

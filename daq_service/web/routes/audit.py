@@ -84,6 +84,7 @@ def list_audit(
 
 
 def _kinds(what: str | None) -> frozenset[str] | None:
+    """Return the requested operations; raise a problem for an unknown one."""
     kinds = None if what is None else frozenset(what.split(","))
     if kinds is not None and not kinds <= set(AUDITED_OPERATIONS):
         unknown = ", ".join(sorted(kinds - set(AUDITED_OPERATIONS)))
@@ -96,6 +97,7 @@ def _kinds(what: str | None) -> frozenset[str] | None:
 
 
 def _check_range(first_ns: int | None, end_ns: int | None) -> None:
+    """Raise a problem for a range that ends before it starts."""
     if first_ns is not None and end_ns is not None and end_ns < first_ns:
         raise invalid(
             "Invalid range",

@@ -116,6 +116,8 @@ def _write_or_execute(context: Context, command: kinds.Command) -> tuple[int, Re
 
 
 def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
+    """Execute a command in the web service, without a recorder; return its id."""
+
     def moment() -> Moment:
         now = context.freshness()
         return Moment(utc_ns=now.now_utc_ns, due_h=now.now_h, set_index=None)
@@ -125,6 +127,7 @@ def _execute_here(context: Context, command: kinds.StoredCommand) -> int:
 
 
 def _facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
+    """Return the facts that decide whether a command can be executed."""
     return kinds.Facts(
         recorder=context.freshness().recorder.status,
         recorded=is_owned(context.data_folder) is not False,
@@ -140,6 +143,7 @@ def _facts(context: Context, catalogue: Catalogue) -> kinds.Facts:
 
 
 def _row(context: Context, command_id: int) -> dict[str, object]:
+    """Return a command with the time that it has left; raise a problem if it does not exist."""
     state_and_time = command_state(context.catalogue(), command_id)
     if state_and_time is None:
         raise not_found(

@@ -100,6 +100,7 @@ def holds_numbers(schema: object, kinds: Collection[str] = ("number", "integer")
 
 
 def _give_example(operation: OpenApi) -> None:
+    """Add the stored example to the responses of an operation."""
     example = examples().get(operation["operationId"])
     if example is None:
         return

@@ -74,6 +74,7 @@ def _row_of(context: Context, name: str) -> SetRow | None:
 
 
 def _check_range(byte_range: str, n_bytes: int) -> None:
+    """Raise a problem for a range that the file does not have."""
     match = RANGE.fullmatch(byte_range.replace(" ", ""))
     first, last = match.groups() if match else ("", "")
     is_valid = int(last or 0) > 0 if not first else int(first) < n_bytes and int(first) <= int(last or first)

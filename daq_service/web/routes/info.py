@@ -85,6 +85,7 @@ def get_info(context: ContextOf) -> JsonAnswer:
 
 
 def _named_limits() -> list[dict[str, str]]:
+    """Return all limits with their descriptions."""
     from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
 
     return [

@@ -85,6 +85,7 @@ def of_test(context: Context) -> Iterator[Metric]:
 
 
 def _of_notifications(context: Context) -> Iterator[Metric]:
+    """Yield the metrics of the receivers of notifications."""
     queues = context.notifications.queues.values()
     sent = CounterMetricFamily("solimon_notifications_sent", "Messages taken", labels=("receiver",))
     failed = CounterMetricFamily("solimon_notifications_failed", "Failed attempts", labels=("receiver",))
@@ -107,6 +108,7 @@ COUNTS = {
 
 
 def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
+    """Yield the metrics of recorder, stored data and disk."""
     catalogue = context.catalogue()
     yield _recorder(fresh.recorder.status)
     yield _gauge(
@@ -202,6 +204,7 @@ def _quality(summary: LatestRows) -> str | None:
 
 
 def _delay_s(summary: LatestRows) -> float | None:
+    """Return the time in s from the due time of the newest set to its first strike."""
     row = summary.last_set
     if row is None or row.started_utc_ns is None:
         return None

@@ -88,6 +88,7 @@ def test_receiver(
 
 
 def _receiver(context: Context, queue: ReceiverQueue) -> dict[str, object]:
+    """Return the state of a receiver."""
     settings, state, now_ns = (
         context.notifications.settings.receivers[queue.name],
         queue.state,
@@ -117,6 +118,7 @@ def _state_name(state: State, now_ns: int) -> str:
 
 
 def _heartbeat(settings: ReceiverSettings, state: State) -> dict[str, object] | None:
+    """Return the state of a receiver's heartbeat; None if it has none."""
     if settings.heartbeat_s is None:
         return None
     return with_utc(

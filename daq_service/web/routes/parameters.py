@@ -31,6 +31,7 @@ async def refuse_unknown_parameters(connection: HTTPConnection) -> None:
 
 
 def _remedy(name: str, known: list[str]) -> str:
+    """Return the remedy for an unknown parameter."""
     near = difflib.get_close_matches(name, known, n=1, cutoff=0.6)
     if near:
         return f"unknown parameter; did you mean {near[0]}?"

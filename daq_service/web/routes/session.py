@@ -77,6 +77,7 @@ async def log_out(request: Request, context: ContextOf) -> Response:
 
 
 def _session_of(person: Person | None) -> dict[str, object]:
+    """Return what a person may do; None is a person without a valid token."""
     if person is None:
         return {"token_needed": True, "name": None, "role": None, "may": []}
     return {

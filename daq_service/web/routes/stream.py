@@ -74,6 +74,7 @@ async def stream_events(
 
 
 def _topics(text: str | None) -> frozenset[str] | None:
+    """Return the requested topics; raise a problem for an unknown one."""
     if text is None:
         return None
     selected = frozenset(part.strip() for part in text.split(",") if part.strip())
@@ -88,6 +89,7 @@ def _topics(text: str | None) -> frozenset[str] | None:
 
 
 def _event_id(text: str) -> int:
+    """Return an event id from a header; raise a problem for other text."""
     if not text.isascii() or not text.isdigit() or len(text) > 18:
         raise invalid(
             "Not an event id",

@@ -66,6 +66,7 @@ def get_latest_environment(context: ContextOf) -> JsonAnswer:
 
 
 def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, object]:
+    """Return the present state of a position with its newest rows."""
     place = context.settings.positions[name]
     last = fresh.standing_word(stored or LatestRows(position=name, method=place.method))
     assessment, alarms = last.last_assessment, last.active_alarms

@@ -202,6 +202,7 @@ def columns_of_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) -
 
 
 def _means(bins: NDArray[np.void], column: int) -> list[float]:
+    """Return the mean of a column in each bin; NaN without values."""
     count, total = bins["count"][:, column], bins["sum"][:, column]
     mean = np.divide(total, count, out=np.full(bins.size, np.nan), where=count > 0.0)
     # The mean of equal numbers is that number, not its neighbour.

@@ -52,6 +52,7 @@ class Followed:
             await waiter
 
     def _wake(self) -> None:
+        """Wake the clients that wait for a change."""
         woken, self._waiting = self._waiting, []
         for waiter in woken:
             if not waiter.done():

@@ -121,6 +121,7 @@ class EventHub(Followed):
         self._wake()
 
     def _append(self, events: list[EncodedEvent]) -> None:
+        """Append events to the ring buffer and wake the clients."""
         self._events.extend(events)
         # Cut only at twice the size, so that the cost an event stays constant.
         if len(self._events) > 2 * self._ring_events:

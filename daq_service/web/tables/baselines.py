@@ -51,6 +51,7 @@ def published_baselines(
 
 
 def _usable_sets(catalogue: Catalogue, row: BaselineRow) -> int:
+    """Count the sets of a baseline that have every feature."""
     first, last = row.first_set_index, row.last_set_index
     columns = catalogue.columns(
         FeatureRow,

@@ -47,6 +47,7 @@ def exported(
 
 
 def _bounded(read: Iterator[Columns], form: str, most_rows: int) -> Iterator[Columns]:
+    """Yield pages of a table; raise an error above a number of rows."""
     n_rows = 0
     for page in read:
         n_rows += len(next(iter(page.values())))

@@ -60,6 +60,7 @@ def facts_text(facts: Facts) -> str:
 
 
 def _csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+    """Yield a table as CSV."""
     names = [column.name for column in choice.columns]
     text = io.StringIO(newline="")
     writer = csv.writer(text)
@@ -73,6 +74,7 @@ def _csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[byt
 
 
 def _cell(value: object) -> str:
+    """Return a value as a cell of a CSV file."""
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -112,6 +114,8 @@ class _Drain(io.RawIOBase):
 
 
 def _arrow_like(kind: str) -> Write:
+    """Return a writer of tables in a format of Arrow."""
+
     def write(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
         arrow = pyarrow()
         schema = arrow.schema(
@@ -233,6 +237,7 @@ def mat_image(name: str, arrays: Mapping[str, Array], units: Mapping[str, str], 
 
 
 def _h5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+    """Yield a table as HDF5."""
     arrays = _arrays(choice.columns, pages)
     names = choice.fields or tuple(arrays)
     numbers = [c.name for c in choice.columns if c.form == "number" and c.unit != "h" and c.name in names]

@@ -71,6 +71,7 @@ def exported_records(
 
 
 def _csv(records: RecordSlice) -> bytes:
+    """Return waveforms as CSV, one column each."""
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     keys = zip(*(records.columns[name] for name in ("set_index", "shot_index", "quality")), strict=True)
@@ -83,6 +84,7 @@ def _csv(records: RecordSlice) -> bytes:
 
 
 def _arrow(records: RecordSlice, facts: formats.Facts, form: str) -> bytes:
+    """Return waveforms in a format of Arrow, one row each."""
     arrow = formats.pyarrow()
     n_samples = records.time_s.size
     volts = arrow.field("voltage_v", arrow.list_(arrow.float64(), n_samples), metadata={"unit": "V"})

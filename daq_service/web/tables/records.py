@@ -176,6 +176,7 @@ def _waveforms(
 
 
 def _check_same_sampling(position: str, first: Waveform, other: Waveform) -> None:
+    """Raise an error for two records of different sampling."""
     if (first.counts.size, first.sample_rate_hz, first.pretrigger_samples) != (
         *(other.counts.size, other.sample_rate_hz, other.pretrigger_samples),
     ):

@@ -31,6 +31,7 @@ def render(template: str, **context: object) -> bytes:
 
 @cache
 def _environment() -> Environment:
+    """Return the environment of the templates with its filters."""
     environment = Environment(
         loader=FileSystemLoader(Path(__file__).parent),
         autoescape=True,

@@ -260,6 +260,7 @@ def _verify_record(task: Task) -> None:
 
 
 def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
+    """Return the parameters of the converter that a task has configured."""
     record = AdcParameters(
         range_v=task.channel.range_v,
         sample_rate_hz=rate_hz(task),

@@ -66,6 +66,7 @@ def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> An
 
 
 def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
+    """Return the lines of a device by their names in a call."""
     known = {f"{device.name}/{line}".casefold(): line for line in device.kind.digital_lines}
     found = []
     for name in names.splitlines():

@@ -244,6 +244,7 @@ def _insert_wave(volts: FloatArray, wave: FloatArray, at: int) -> None:
 
 
 def _specimen(description: Description) -> Specimen:
+    """Build the specimen of the described chassis."""
     transducers = {
         position: Transducer(
             chain=wiring.chain,

@@ -155,6 +155,7 @@ class NiscopeBrain:
             raise
 
     def _open(self, client: str, resource: str) -> Answer:
+        """Open a session on a board that no other process owns."""
         with self._changed:
             board = self._boards.get(resource)
             if board is None:
@@ -181,6 +182,7 @@ class NiscopeBrain:
         self._require_present(session)
 
     def _restore_defaults(self, session: Session, _: Arguments) -> None:
+        """Reset the configuration of a session."""
         self._require_present(session)
         fresh = Session(
             handle=session.handle,
@@ -246,6 +248,7 @@ class NiscopeBrain:
         return answer
 
     def _wait_until_done(self, session: Session, running: Acquisition, timeout_s: float) -> None:
+        """Wait until an acquisition is done; raise the status of a timeout or an abort."""
         deadline_s = math.inf if timeout_s < 0.0 else self._monotonic_s() + timeout_s
         with self._changed:
             while True:

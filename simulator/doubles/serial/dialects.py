@@ -34,6 +34,7 @@ class AimTtiSupply(Supply):
         self._events |= {"VOLT": 4, "CURR": 8}[protection]
 
     def _answer(self, question: str) -> str | None:
+        """Return the answer to a question; None if it is unknown."""
         if question == "*IDN?":
             return self.identity
         if question == "EER?":
@@ -54,6 +55,7 @@ class AimTtiSupply(Supply):
         return None
 
     def _obey(self, header: str, argument: str) -> str | None:
+        """Execute a command; return its error, None if there is none."""
         if header in {"V1", "I1"}:
             return self._set_level(QUANTITY[header[0]], argument)
         if header in {"OVP1", "OCP1"}:
@@ -118,6 +120,7 @@ class RigolSupply(Supply):
         return response
 
     def _answer_question(self, question: str, channel: str) -> str | None:
+        """Return the answer to a question about a channel; None if it is unknown."""
         if question == "*IDN?":
             return self.identity
         if question == ":SYST:ERR?":
@@ -140,6 +143,7 @@ class RigolSupply(Supply):
         return None
 
     def _obey(self, header: str, argument: str) -> str | None:
+        """Execute a command; return its error, None if there is none."""
         if found := re.fullmatch(r":SOUR1:(VOLT|CURR)", header):
             return self._set_level(found[1], argument)
         channel, _, value = argument.partition(",")

@@ -193,6 +193,7 @@ def main() -> int:
 
 
 def _answer_line(instruments: SerialInstruments, line: str) -> dict[str, Any]:
+    """Execute the command of a line; return the result or the rejection."""
     try:
         order = json.loads(line)
         if not isinstance(order, dict):

@@ -183,6 +183,7 @@ class SerialLink:
         os.close(self._wake_write)
 
     def _order(self, work: Callable[[], T]) -> T:
+        """Run a function in the thread of the link and return its result."""
         if threading.current_thread() is self._thread:  # the instrument itself pulls the plug
             return work()
         future: Future[T] = Future()
@@ -200,6 +201,7 @@ class SerialLink:
     # The owning thread -----------------------------------------------------------------------------
 
     def _run(self) -> None:
+        """Serve the link until it is closed."""
         while not self._ended:
             watched = [self._wake_read, *(self._terminal or ())[:1]]
             watched += [] if self._listener is None else [self._listener.fileno()]
@@ -217,6 +219,7 @@ class SerialLink:
                 self._orders.popleft()()
 
     def _hear(self) -> None:
+        """Read what was sent, and answer each complete command."""
         assert self._terminal is not None, "only heard while plugged in"
         try:
             data = os.read(self._terminal[0], 4096)
@@ -241,6 +244,7 @@ class SerialLink:
                 self.withheld()
 
     def _reply(self, answer: bytes) -> None:
+        """Send an answer, or what an injected fault makes of it."""
         faults = self._faults
         if faults.silent:
             self.withheld()
@@ -273,6 +277,7 @@ class SerialLink:
             self._due.clear()
 
     def _plug(self) -> None:
+        """Open a pseudo terminal and link the path to it."""
         if self._terminal is not None:
             return
         import tty  # not on Windows
@@ -291,6 +296,7 @@ class SerialLink:
         self._hang_up()
 
     def _hang_up(self) -> None:
+        """Close the connection."""
         for end in self._terminal or ():
             with contextlib.suppress(OSError):
                 os.close(end)

@@ -137,6 +137,7 @@ class Supply:
         return None
 
     def _answer(self, question: str) -> str | None:
+        """Return the answer to a question; None if it is unknown."""
         match question:
             case "*IDN?":
                 return self.identity
@@ -158,6 +159,7 @@ class Supply:
         return None  # an instrument does not answer what it does not know
 
     def _obey(self, header: str, argument: str) -> str | None:
+        """Execute a command; return its error, None if there is none."""
         match header, argument:
             case "OUTP", "ON" | "1":
                 if any(self._tripped.values()):
@@ -180,6 +182,7 @@ class Supply:
         return None
 
     def _set_level(self, header: str, number: str) -> str | None:
+        """Set voltage or current; return the error of a value out of range."""
         try:
             value = float(number)
         except ValueError:

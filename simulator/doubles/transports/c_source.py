@@ -40,6 +40,7 @@ def _kind(attribute: Attribute) -> str:
 
 
 def _function(entry: EntryPoint) -> str:
+    """Return the C function of an entry point."""
     lines = [f"int32_t {entry.name}({entry.declared}) {{", "struct message message;", "int32_t status;"]
     variadic = entry.tail is not Tail.NONE
     if variadic:
@@ -66,6 +67,7 @@ def _function(entry: EntryPoint) -> str:
 
 
 def _put(parameter: Parameter) -> str:
+    """Return the C statement that adds an input to the message."""
     name = parameter.name
     if parameter.role is Role.TEXT:
         return f"put_text(&message, {name});"
@@ -77,6 +79,7 @@ def _put(parameter: Parameter) -> str:
 
 
 def _take(parameter: Parameter) -> str:
+    """Return the C statement that reads an output from the answer."""
     name = parameter.name
     if parameter.role is Role.OUT_TEXT:
         return f"status = take_text(&message, status, {name}, (uint32_t){parameter.size});"

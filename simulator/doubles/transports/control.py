@@ -51,6 +51,7 @@ class DoublesControl:
         self._socket.close()
 
     def _ask(self, command: str, **arguments: Any) -> Any:
+        """Send a command to the doubles and return its result."""
         # A question that waits is answered only then.
         self._socket.settimeout(self._timeout_s + arguments.get("timeout_s", 0.0))
         try:

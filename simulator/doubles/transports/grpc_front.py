@@ -174,6 +174,7 @@ def fill_response(entry: EntryPoint, response: Any, values: Mapping[str, Any], s
 
 
 def _assign(response: Any, field: Any, value: Any) -> None:
+    """Set a field of a response."""
     if field.type == field.TYPE_MESSAGE:
         return
     if field.is_repeated:
@@ -247,6 +248,7 @@ class GrpcFront:
         self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _answer(self, entry: EntryPoint, response_type: Any) -> Callable[[Any, Any], Any]:
+        """Return the handler of a remote procedure."""
         opens_session = any(p.goes_out and p.c_type == HANDLE for p in entry.parameters)
 
         def answer(request: Any, context: Any) -> Any:
@@ -273,6 +275,8 @@ class GrpcFront:
         return answer
 
     def _open_session(self, entry: EntryPoint, request: Any, response: Any) -> None:
+        """Create a task for a session, or return that of its name."""
+
         def create() -> int:
             arguments = arguments_of(entry, request, self._sessions)
             return int(self._call(entry.name, arguments)["task"])

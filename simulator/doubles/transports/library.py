@@ -116,6 +116,7 @@ def _compiler() -> str | None:
 
 
 def _compile(source: str, flags: tuple[str, ...], target: Path) -> None:
+    """Compile the library; raise an error with the compiler's message."""
     compiler = _compiler()
     if compiler is None:
         raise LibraryBuildError(f"cannot build {target.name}: no C compiler found")

@@ -79,6 +79,7 @@ class _Connection(socketserver.BaseRequestHandler):
             log.warning("connection of %s ends: %s", self.client_address, error)
 
     def _serve(self, connection: socket.socket, client: str) -> None:
+        """Answer the calls of a connection until it ends."""
         while (body := wire.receive_frame(connection)) is not None:
             entry, arguments = wire.decode_call(body)
             status, text, values = 0, "", {}

@@ -44,6 +44,7 @@ class Attribute:
 
 
 def _read_table() -> Iterator[Attribute]:
+    """Yield the attributes of the table."""
     lines = Path(__file__).with_name("attributes.csv").read_text(encoding="utf-8").splitlines()
     for row in csv.DictReader(lines):
         c_type = row["c_type"].removesuffix("[]")

@@ -224,6 +224,7 @@ def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
 
 
 def _in_plane_axis(length_m: float, half_m: float, mesh: SolidMesh, h: float, *, round_patch: bool) -> Axis:
+    """Return the mesh of an axis in the plane, refined at contact and patch."""
     features = [(0.0, mesh.contact_element * h), (half_m, mesh.edge_element * h)]
     if round_patch:  # the circle crosses every line up to half_m
         features += [(half_m * t, max(mesh.edge_element, 0.25) * h) for t in np.linspace(0.5, 1.0, 9)]

@@ -65,6 +65,7 @@ def column_folds(plate: SolidPlate) -> list[Fold]:
 
 
 def _fold(plate: SolidPlate, ex: int, ey: int) -> Fold:
+    """Return the unknowns of a column of elements, and the matrix that maps them to its nodes."""
     kind, nodes = _column_kind(plate, ex, ey)
     if kind:
         at = np.ix_(plate.x.nodes_of(ex), plate.y.nodes_of(ey))
