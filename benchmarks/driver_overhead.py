@@ -25,7 +25,8 @@ from typing import Any
 
 import numpy as np
 
-from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, open_daqmx
+from hardware_drivers.daqmx.instruments import open_daqmx
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, Description
 from simulator.doubles.chassis.description import TransducerWiring as DoubleWiring

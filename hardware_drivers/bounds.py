@@ -23,6 +23,8 @@ _COMPARISONS: tuple[tuple[type, str, str, Callable[[Any, Any], bool]], ...] = (
 
 _PAIRS: Mapping[str, Callable[[Any, Any], bool]] = {
     "at least": operator.ge,
+    "at most": operator.le,
+    "above": operator.gt,
     "later than": operator.gt,
     "below": operator.lt,
     "less than": operator.lt,
@@ -68,6 +70,7 @@ def check_values(parameters: type, values: Mapping[str, Any]) -> None:
 
 
 def _check(checked: Iterable[tuple[str, list[_Bound], Any]]) -> None:
+    """Raise ValueError for the first value that is not finite or breaks a bound; None breaks no bound."""
     for name, bounds, value in checked:
         if value is None:
             continue
@@ -79,7 +82,7 @@ def _check(checked: Iterable[tuple[str, list[_Bound], Any]]) -> None:
 
 
 def check_pair(parameters: Any, name: str, relation: str, other: str, unit: str = "") -> None:
-    """Raise ValueError unless one value is ``at least``, ``later than``, ``below`` or ``less than`` another.
+    """Raise ValueError unless one value is in a relation of `_PAIRS` to another.
 
     Parameters
     ----------
@@ -100,9 +103,10 @@ def bounded(parameters: type[Parameters]) -> type[Parameters]:
     What only the class knows, two values that must fit each other, it checks in a `__post_init__` of its
     own, which runs after the bounds. Embedded in a pydantic model the class refuses unknown keys.
     """
-    own_checks: Callable[[Parameters], None] | None = parameters.__dict__.get("__post_init__")
+    own_checks: Callable[[Parameters], None] | None = getattr(parameters, "__post_init__", None)
 
     def check(parameters_object: Parameters) -> None:
+        """Check the bounds, then what only the class knows."""
         check_bounds(parameters_object)
         if own_checks is not None:
             own_checks(parameters_object)

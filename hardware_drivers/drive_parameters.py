@@ -7,7 +7,7 @@ from typing import Annotated
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded
+from hardware_drivers.bounds import bounded, check_pair
 from hardware_drivers.errors import ConfigurationError
 
 LOG_KEYS = frozenset({"log_interval_s", "read_timeout_s"})
@@ -89,14 +89,8 @@ class DriveParameters(ABC):
                 )
 
     def __post_init__(self) -> None:
-        for name, cap in (
-            ("voltage_v", "voltage_cap_v"),
-            ("current_limit_a", "current_cap_a"),
-        ):
-            if getattr(self, name) > getattr(self, cap):
-                raise ValueError(
-                    f"{name} is {getattr(self, name)}; it must be at most {cap} = {getattr(self, cap)}"
-                )
+        check_pair(self, "voltage_v", "at most", "voltage_cap_v")
+        check_pair(self, "current_limit_a", "at most", "current_cap_a")
 
 
 @bounded
@@ -107,9 +101,6 @@ class NamedSupply(DriveParameters):
     """Its name there; the instrument serves as nothing else."""
     order_timeout_s: Annotated[float, Gt(0.0), Le(600.0)] = 15.0
     """Longest time that it takes to obey (set, read back, switch, measure)."""
-
-    def __post_init__(self) -> None:
-        DriveParameters.__post_init__(self)
 
     @property
     def longest_order_s(self) -> float:

@@ -32,11 +32,9 @@ class Clock(Protocol):
 
     def utc_ns(self) -> int:
         """Return test time, ns since 1970-01-01T00:00Z."""
-        ...
 
     def mono_ns(self) -> int:
         """Return monotonic test time in ns; never steps back within one ``boot_id``."""
-        ...
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
         """Return True once ``utc_ns`` is reached, False as soon as ``idle()`` returns False.
@@ -44,7 +42,6 @@ class Clock(Protocol):
         ``idle`` is called at least every 0.2 s of wall time while waiting; it is where the caller
         advances its heartbeat and notices a request to stop.
         """
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -79,7 +76,6 @@ class Digitizer(Protocol):
         ConfigurationError
             Already armed, or no such position.
         """
-        ...
 
     def read(self, timeout_s: float) -> Acquired:
         """Return the record of the armed shot and disarm.
@@ -91,11 +87,9 @@ class Digitizer(Protocol):
         ConfigurationError
             Not armed.
         """
-        ...
 
     def disarm(self) -> None:
         """Stop waiting; harmless when not armed."""
-        ...
 
 
 @runtime_checkable
@@ -110,11 +104,9 @@ class Striker(Protocol):
         ConfigurationError
             No such position.
         """
-        ...
 
     def make_safe(self) -> None:
         """De-energise every coil; harmless when already safe, allowed at any time."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -140,7 +132,6 @@ class PulseEchoUnit(Protocol):
         ConfigurationError
             No such position.
         """
-        ...
 
 
 @runtime_checkable
@@ -155,7 +146,6 @@ class PowerSupply(Protocol):
         ConnectionLostError
             The supply does not answer: what its output does is unknown.
         """
-        ...
 
     def energise(self, voltage_v: float, current_limit_a: float) -> None:
         """Set voltage and limit, read both back, then switch the output on.
@@ -167,7 +157,6 @@ class PowerSupply(Protocol):
         ConnectionLostError
             The supply does not answer.
         """
-        ...
 
     def make_safe(self) -> None:
         """Switch the output off and read that back; harmless when off.
@@ -177,11 +166,9 @@ class PowerSupply(Protocol):
         ConnectionLostError
             The supply does not answer: what its output does is unknown.
         """
-        ...
 
     def identity(self) -> Mapping[str, str]:
         """Return maker, model, serial number and firmware, as the supply reports them."""
-        ...
 
 
 @runtime_checkable
@@ -196,7 +183,6 @@ class ClimateProbe(Protocol):
         ConnectionLostError
             The probe does not answer.
         """
-        ...
 
 
 @runtime_checkable
@@ -213,7 +199,6 @@ class SelfCalibrating(Protocol):
         ConnectionLostError, BusyError
             As for a record.
         """
-        ...
 
 
 class PersonRequests:

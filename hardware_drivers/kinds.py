@@ -63,6 +63,8 @@ GROUPS: Mapping[Role, str] = {role: f"solimon.{role}" for role in ROLES}
 """Group of entry points for each role."""
 
 State = Literal["ok", "warn", "fail"]
+Value = float | str | bool | None
+"""Value of a finding, for programs."""
 
 
 def _no_person(what: str) -> None:
@@ -170,11 +172,11 @@ class Finding:
     detail: str
     remedy: str = ""
     held: bool = False
-    values: Mapping[str, float | str | bool | None] = field(default_factory=dict)
+    values: Mapping[str, Value] = field(default_factory=dict)
 
 
 def finding_of_error(subject: str, check: str, error: InstrumentError, otherwise: str) -> Finding:
-    """Return the finding of an error; a message of this project ends in its remedy.
+    """Return the finding of an error; a message of this project ends in its remedy, or names an owner.
 
     Parameters
     ----------
@@ -182,21 +184,24 @@ def finding_of_error(subject: str, check: str, error: InstrumentError, otherwise
         Remedy where the message has none.
     """
     problem, _, remedy = str(error).rpartition("; ")
+    held = isinstance(error, BusyError)
     return Finding(
         subject=subject,
         check=check,
         state="fail",
-        detail=problem or str(error),
+        detail=str(error) if held else problem or str(error),
         remedy=remedy if problem else otherwise,
-        held=isinstance(error, BusyError),
+        held=held,
     )
 
 
 def _no_packages(parameters: Any) -> Iterable[str]:
+    """Return no distribution: the kind needs none."""
     return ()
 
 
 def _no_extra_time(parameters: Any) -> float:
+    """Return 0 s: every call has a timeout."""
     return 0.0
 
 

@@ -20,6 +20,7 @@ Counts = NDArray[np.int16] | NDArray[np.int32]
 
 
 def _read_only(values: NDArray[np.generic]) -> NDArray[np.generic]:
+    """Return a copy of an array that cannot be changed."""
     copy = np.array(values, copy=True)
     copy.flags.writeable = False
     return copy

@@ -60,6 +60,7 @@ class Offer:
         return next(iter(kinds.values()))
 
     def _loaded(self, entry_point: EntryPoint) -> Kind[Any]:
+        """Import the kind that an entry point names."""
         offered = f"{self.distributions[0]} offers {entry_point.value} as the kind {self.name!r}"
         try:
             kind = entry_point.load()
@@ -124,5 +125,6 @@ def _names_text(known: Iterable[Offer]) -> str:
 
 
 def _distribution(entry_point: EntryPoint) -> str:
+    """Return name and version of the distribution that offers an entry point."""
     found = entry_point.dist
     return "an unknown package" if found is None else f"{found.name} {found.version}"

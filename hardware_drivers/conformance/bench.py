@@ -6,9 +6,6 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from typing import Any
-
-import pytest
 
 from hardware_drivers.measurement import ShotKey
 
@@ -41,7 +38,7 @@ class Bench:
         Temperature in degrees Celsius and relative humidity (0..1) at a climate probe.
     """
 
-    parameters: Mapping[str, Any] = field(default_factory=dict)
+    parameters: Mapping[str, object] = field(default_factory=dict)
     strike: Strike | None = None
     coil_levels: CoilLevels | None = None
     fault: Callable[[str], AbstractContextManager[object]] | None = None
@@ -84,17 +81,3 @@ class MachineClock:
                 return False
             time.sleep(min(left_ns / 1e9, 0.1))
         return True
-
-
-class ShotContract:
-    """Fixtures that the rules of an instrument with shots need."""
-
-    @pytest.fixture
-    def keys(self) -> Keys:
-        """Return two shots of one position that the instrument knows; of a striker one each of up to two."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def unknown_key(self) -> ShotKey:
-        """Return a shot of a position that the instrument does not know."""
-        raise NotImplementedError

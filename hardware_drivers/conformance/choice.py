@@ -35,12 +35,12 @@ class ChosenInstrument:
         The whole file.
     """
 
-    kind: Kind[Any]
+    kind: Kind[object]
     offer: Offer
-    table: Mapping[str, Any]
+    table: Mapping[str, object]
     serves: Mapping[Role, tuple[str, ...]]
-    strikers: Mapping[str, tuple[Kind[Any], Mapping[str, Any]]] = field(default_factory=dict)
-    configuration: Mapping[str, Any] = field(default_factory=dict)
+    strikers: Mapping[str, tuple[Kind[object], Mapping[str, object]]] = field(default_factory=dict)
+    configuration: Mapping[str, object] = field(default_factory=dict)
 
 
 def choose_instrument(kind_name: str, file: Path | None) -> ChosenInstrument:
@@ -56,7 +56,7 @@ def choose_instrument(kind_name: str, file: Path | None) -> ChosenInstrument:
     kind, offer = find_kind(kind_name)
     if file is None:
         roles = {role: (AT,) if role in OF_POSITIONS else () for role in offer.roles}
-        strikers = {AT: (kind, dict[str, Any]())} if "striker" in offer.roles else {}
+        strikers = {AT: (kind, dict[str, object]())} if "striker" in offer.roles else {}
         return ChosenInstrument(kind=kind, offer=offer, table={}, serves=roles, strikers=strikers)
     configuration = _read_table(file)
     rig = configuration.get("rig", {})
@@ -113,11 +113,13 @@ def find_double(where: str) -> Double:
     return found
 
 
-def _parameters(table: Mapping[str, Any]) -> dict[str, Any]:
+def _parameters(table: Mapping[str, object]) -> dict[str, object]:
+    """Return the parameters of an instrument: its table without the key `kind`."""
     return {key: value for key, value in table.items() if key != "kind"}
 
 
-def _read_table(file: Path) -> dict[str, Any]:
+def _read_table(file: Path) -> Mapping[str, Any]:
+    """Read a TOML file; a file that cannot be read is a ConfigurationError."""
     try:
         return tomllib.loads(file.read_text(encoding="utf-8"))
     except OSError as error:

@@ -12,15 +12,18 @@ TIMEOUT_S = 10.0
 
 
 class ClimateProbeContract:
-    """Rules for a climate probe: it measures air temperature and humidity, with time stamps."""
+    """Rules for a climate probe: it measures air temperature and humidity, with time stamps.
+
+    A class that inherits the rules provides these fixtures.
+
+    Fixtures
+    --------
+    climate : ClimateProbe
+        The instrument under test in the air of `air`.
+    """
 
     TOLERANCE = (1.0, 0.05)
     """How far the probe may be off: of the order of a good sensor's error."""
-
-    @pytest.fixture
-    def climate(self) -> ClimateProbe:
-        """Return the instrument under test in the air of `air`."""
-        raise NotImplementedError
 
     @pytest.fixture
     def air(self) -> tuple[float, float]:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hardware_drivers.conformance.bench import Keys, ShotContract, Strike
+from hardware_drivers.conformance.bench import Keys, Strike
 from hardware_drivers.conformance.records import require_record
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Digitizer
@@ -21,23 +21,28 @@ OVERRUN_S = 20.0
 
 
 def _record(digitizer: Digitizer, strike: Strike, key: ShotKey, timeout_s: float) -> Acquired:
+    """Arm, strike and read one shot."""
     digitizer.arm(key)
     strike(key)
     return digitizer.read(timeout_s)
 
 
-class DigitizerContract(ShotContract):
-    """Rules for a digitizer: arm, strike, read; everything else is rejected or harmless."""
+class DigitizerContract:
+    """Rules for a digitizer: arm, strike, read; everything else is rejected or harmless.
 
-    @pytest.fixture
-    def digitizer(self) -> Digitizer:
-        """Return the instrument under test, disarmed."""
-        raise NotImplementedError
+    A class that inherits the rules provides these fixtures.
 
-    @pytest.fixture
-    def strike(self, digitizer: Digitizer) -> Strike:
-        """Return a function that makes the key's transducer trigger the digitizer under test."""
-        raise NotImplementedError
+    Fixtures
+    --------
+    digitizer : Digitizer
+        The instrument under test, disarmed.
+    strike : Strike
+        A function that makes the key's transducer trigger the digitizer under test.
+    keys : Keys
+        Two shots of one position that the instrument knows.
+    unknown_key : ShotKey
+        A shot of a position that the instrument does not know.
+    """
 
     @pytest.fixture
     def timeout_s(self) -> float:

@@ -8,7 +8,6 @@ import sys
 from collections.abc import Callable, Mapping
 from contextlib import AbstractContextManager, suppress
 from importlib.metadata import packages_distributions
-from typing import Any
 
 import pytest
 from pydantic import TypeAdapter, ValidationError
@@ -29,53 +28,51 @@ Open = Callable[[], AbstractContextManager[Opened]]
 
 
 class KindContract:
-    """Rules for a kind: parameters reject unknown keys; it can be opened, closed and opened again."""
+    """Rules for a kind: parameters reject unknown keys; it can be opened, closed and opened again.
+
+    A class that inherits the rules provides these fixtures.
+
+    Fixtures
+    --------
+    kind : Kind[object]
+        The kind under test.
+    table : Mapping[str, object]
+        Its parameters as a configuration gives them.
+    module : str
+        The module that its entry points name.
+    opening : Opening
+        The opening of the instrument under test.
+    """
 
     @pytest.fixture
-    def kind(self) -> Kind[Any]:
-        """Return the kind under test."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def table(self) -> Mapping[str, Any]:
-        """Return its parameters as a configuration gives them."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def module(self) -> str:
-        """Return the module that its entry points name."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def parameters(self, kind: Kind[Any], table: Mapping[str, Any]) -> Any:
+    def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
         """Return them validated."""
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture
-    def opening(self) -> Opening:
-        """Return the opening of the instrument under test."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def open_kind(self, kind: Kind[Any], parameters: Any, opening: Opening) -> Open:
+    def open_kind(self, kind: Kind[object], parameters: object, opening: Opening) -> Open:
         """Return a function that opens the instrument."""
         return lambda: kind.open(parameters, opening)
 
-    def test_unknown_parameters_are_refused(self, kind: Kind[Any], table: Mapping[str, Any]) -> None:
+    def test_unknown_parameters_are_refused(self, kind: Kind[object], table: Mapping[str, object]) -> None:
         with pytest.raises(ValidationError, match=NO_KEY):
             TypeAdapter(kind.parameters).validate_python({**table, NO_KEY: 1})
 
-    def test_parameters_cannot_be_changed(self, parameters: Any) -> None:
+    def test_parameters_cannot_be_changed(self, parameters: object) -> None:
         for name in TypeAdapter(type(parameters)).dump_python(parameters):
             with pytest.raises((AttributeError, ValidationError)):
                 setattr(parameters, name, getattr(parameters, name))
 
-    def test_parameters_are_the_same_after_they_were_stored(self, kind: Kind[Any], parameters: Any) -> None:
+    def test_parameters_are_the_same_after_they_were_stored(
+        self, kind: Kind[object], parameters: object
+    ) -> None:
         adapter = TypeAdapter(kind.parameters)
         stored = adapter.dump_json(parameters)
         assert adapter.dump_json(adapter.validate_json(stored)) == stored
 
-    def test_the_kind_describes_its_parameters_correctly(self, kind: Kind[Any], parameters: Any) -> None:
+    def test_the_kind_describes_its_parameters_correctly(
+        self, kind: Kind[object], parameters: object
+    ) -> None:
         keys = TypeAdapter(kind.parameters).dump_python(parameters)
         assert all(path.partition(".")[0] in keys for path in kind.reached_by), "reached_by names parameters"
         assert all(isinstance(name, str) and name for name in kind.packages(parameters))
@@ -84,7 +81,7 @@ class KindContract:
         assert longest_s >= 0.0
 
     def test_reading_a_configuration_imports_none_of_its_packages(
-        self, kind: Kind[Any], parameters: Any, module: str
+        self, kind: Kind[object], parameters: object, module: str
     ) -> None:
         needed = {_plain(name) for name in kind.packages(parameters)}
         if not needed:
@@ -106,7 +103,7 @@ class KindContract:
         assert all(isinstance(text, str) and text for item in identity.items() for text in item), identity
 
     def test_a_check_returns_findings_with_remedies(
-        self, kind: Kind[Any], parameters: Any, opening: Opening
+        self, kind: Kind[object], parameters: object, opening: Opening
     ) -> None:
         found: list[Finding] = []
         with suppress(InstrumentError):  # ends the look as a failed finding
@@ -133,4 +130,5 @@ class _FailureAtTheRigError(Exception):
 
 
 def _plain(distribution: str) -> str:
+    """Return the name of a distribution in the one form that is compared."""
     return distribution.lower().replace("_", "-")

@@ -111,6 +111,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter, config: p
 
 
 def _faults(config: pytest.Config) -> tuple[str, ...]:
+    """Return the faults that the chosen double can inject; none without a double."""
     double = config.stash.get(DOUBLE, None)
     return () if double is None else double.faults
 

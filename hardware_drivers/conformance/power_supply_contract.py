@@ -15,12 +15,15 @@ TIMEOUT_S = 10.0
 
 
 class PowerSupplyContract:
-    """Rules for a supply: it measures, switches off, and switches on only by `energise` within the caps."""
+    """Rules for a supply: it measures, switches off, and switches on only by `energise` within the caps.
 
-    @pytest.fixture
-    def supply(self) -> PowerSupply:
-        """Return the instrument under test, its output switched on by the test's own means."""
-        raise NotImplementedError
+    A class that inherits the rules provides these fixtures.
+
+    Fixtures
+    --------
+    supply : PowerSupply
+        The instrument under test, its output switched on by the test's own means.
+    """
 
     @pytest.fixture
     def caps(self) -> Order:

@@ -6,20 +6,27 @@ import math
 
 import pytest
 
-from hardware_drivers.conformance.bench import Keys, ShotContract
+from hardware_drivers.conformance.bench import Keys
 from hardware_drivers.conformance.records import require_record
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import Echo, PulseEchoUnit
 from hardware_drivers.measurement import ShotKey
 
 
-class PulseEchoUnitContract(ShotContract):
-    """Rules for a pulse-echo unit: fire, average, return."""
+class PulseEchoUnitContract:
+    """Rules for a pulse-echo unit: fire, average, return.
 
-    @pytest.fixture
-    def pulse_echo(self) -> PulseEchoUnit:
-        """Return the instrument under test."""
-        raise NotImplementedError
+    A class that inherits the rules provides these fixtures.
+
+    Fixtures
+    --------
+    pulse_echo : PulseEchoUnit
+        The instrument under test.
+    keys : Keys
+        Two shots of one position that the instrument knows.
+    unknown_key : ShotKey
+        A shot of a position that the instrument does not know.
+    """
 
     @pytest.fixture
     def timeout_s(self) -> float:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, suppress
-from typing import Any
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 
 import pytest
 
@@ -27,27 +26,20 @@ class SafetyContract:
     """Rules for failures: errors are solimon's own.
 
     Then nothing is armed, every coil is off, it opens again.
+
+    A class that inherits the rules provides these fixtures.
+
+    Fixtures
+    --------
+    bench : Bench
+        The bench that injects faults and records what the coils did.
+    opening : Opening
+        The opening of the instrument under test.
+    open_kind : Open
+        A function that opens the instrument.
+    fault : str
+        The name of the fault to inject.
     """
-
-    @pytest.fixture
-    def bench(self) -> Bench:
-        """Return the bench that injects faults and records what the coils did."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def opening(self) -> Opening:
-        """Return the opening of the instrument under test."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def open_kind(self) -> Open:
-        """Return a function that opens the instrument."""
-        raise NotImplementedError
-
-    @pytest.fixture
-    def fault(self) -> str:
-        """Return the name of the fault to inject."""
-        raise NotImplementedError
 
     def test_it_is_safe_after_an_interruption(self, bench: Bench, open_kind: Open, opening: Opening) -> None:
         with open_kind() as opened:
@@ -62,6 +54,7 @@ class SafetyContract:
         self, bench: Bench, open_kind: Open, fault: str
     ) -> None:
         def open_it() -> None:
+            """Open the instrument and leave it at once."""
             with open_kind():
                 """Opened all the same: a fault that only calls will tell."""
 
@@ -127,7 +120,8 @@ def _open_failing(open_kind: Open) -> Iterator[Opened]:
             stack.close()
 
 
-def _failing(bench: Bench, fault: str) -> Any:
+def _failing(bench: Bench, fault: str) -> AbstractContextManager[object]:
+    """Return the context in which the instrument has a fault."""
     assert bench.fault is not None, "a double that names faults gives Bench.fault"
     return bench.fault(fault)
 
@@ -146,6 +140,7 @@ def _error_of(name: str, call: Call) -> InstrumentError | None:
 
 
 def _key(role: Role, opening: Opening) -> ShotKey:
+    """Return the key of a shot at the first position that the instrument serves in a role."""
     return ShotKey(position=opening.serves[role][0], set_index=0, shot_index=0)
 
 
@@ -179,5 +174,6 @@ def _calls(
 
 
 def _coils_on(bench: Bench) -> list[str]:
+    """Return the positions whose coil is on after all switchings so far."""
     levels: Mapping[str, bool] = dict(bench.coil_levels()) if bench.coil_levels is not None else {}
     return [position for position, on in levels.items() if on]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from hardware_drivers.conformance.bench import CoilLevels, Keys, ShotContract
+from hardware_drivers.conformance.bench import CoilLevels, Keys
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.instruments import Striker
 from hardware_drivers.measurement import ShotKey
@@ -12,18 +12,22 @@ from hardware_drivers.measurement import ShotKey
 ON, OFF = True, False
 
 
-class StrikerContract(ShotContract):
-    """Rules for a striker: one pulse per strike, of the right coil, and off afterwards after any error."""
+class StrikerContract:
+    """Rules for a striker: one pulse per strike, of the right coil, and off afterwards after any error.
 
-    @pytest.fixture
-    def striker(self) -> Striker:
-        """Return the instrument under test, every coil off."""
-        raise NotImplementedError
+    A class that inherits the rules provides these fixtures.
 
-    @pytest.fixture
-    def coil_levels(self, striker: Striker) -> CoilLevels:
-        """Return a function that reads all switchings, oldest first: position, on or off."""
-        raise NotImplementedError
+    Fixtures
+    --------
+    striker : Striker
+        The instrument under test, every coil off.
+    coil_levels : CoilLevels
+        A function that reads all switchings, oldest first: position, on or off.
+    keys : Keys
+        A shot of each of up to two positions that the striker knows.
+    unknown_key : ShotKey
+        A shot of a position that the instrument does not know.
+    """
 
     def test_is_a_striker(self, striker: Striker) -> None:
         assert isinstance(striker, Striker)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import replace
-from typing import Any, ClassVar
+from typing import ClassVar
 
 import pytest
 from pydantic import TypeAdapter
@@ -50,17 +50,17 @@ class OnTheBench:
         return pytestconfig.stash[CHOSEN]
 
     @pytest.fixture
-    def kind(self, chosen: ChosenInstrument) -> Kind[Any]:
+    def kind(self, chosen: ChosenInstrument) -> Kind[object]:
         """Return the kind under test."""
         return chosen.kind
 
     @pytest.fixture
-    def table(self, chosen: ChosenInstrument, bench: Bench) -> Mapping[str, Any]:
+    def table(self, chosen: ChosenInstrument, bench: Bench) -> Mapping[str, object]:
         """Return its parameters, with those that only the double knows."""
         return {**chosen.table, **bench.parameters}
 
     @pytest.fixture
-    def parameters(self, kind: Kind[Any], table: Mapping[str, Any]) -> Any:
+    def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
         """Return them validated."""
         return TypeAdapter(kind.parameters).validate_python(table)
 
@@ -70,6 +70,7 @@ class OnTheBench:
         capture = pytestconfig.pluginmanager.getplugin("capturemanager")
 
         def ask(request: str) -> None:
+            """Print a request to a person past the capture of pytest."""
             if request:
                 with capture.global_and_fixture_disabled():
                     print(f"\n  {request}", flush=True)
@@ -77,7 +78,7 @@ class OnTheBench:
         return Opening(clock=MachineClock(), serves=chosen.serves, ask=ask, experiment=chosen.configuration)
 
     @pytest.fixture
-    def open_kind(self, kind: Kind[Any], parameters: Any, opening: Opening) -> Open:
+    def open_kind(self, kind: Kind[object], parameters: object, opening: Opening) -> Open:
         """Return a function that opens the instrument."""
         return lambda: kind.open(parameters, opening)
 
@@ -134,7 +135,7 @@ class TestSafety(OnTheBench, SafetyContract):
     suite = "safety"
 
     @pytest.fixture
-    def open_kind(self, kind: Kind[Any], parameters: Any, opening: Opening, allowed: None) -> Open:
+    def open_kind(self, kind: Kind[object], parameters: object, opening: Opening, allowed: None) -> Open:
         """Return a function that opens the instrument, which then strikes."""
         return lambda: kind.open(parameters, opening)
 
@@ -178,7 +179,7 @@ class TestDigitizer(OnTheBench, DigitizerContract):
             yield striker.strike
 
     @pytest.fixture
-    def longest_read_s(self, kind: Kind[Any], parameters: Any) -> float:
+    def longest_read_s(self, kind: Kind[object], parameters: object) -> float:
         """Return the time limit of any digitizer plus that of the kind's calls."""
         return SHORT_TIMEOUT_S + OVERRUN_S + kind.longest_call_s(parameters)
 
@@ -237,6 +238,7 @@ class TestSupply(OnTheBench, PowerSupplyContract):
 
 
 def _require_double(order: Order | None) -> Order:
+    """Return a value of the double; skip the rule where there is no double."""
     if order is None:
         pytest.skip("no rule switches a supply that is no double's: Bench.caps and Bench.order")
     return order

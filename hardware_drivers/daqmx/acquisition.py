@@ -13,7 +13,7 @@ import logging
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +24,11 @@ from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.translation import vendor_call
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import Calibration, Waveform
+
+if TYPE_CHECKING:
+    from nidaqmx import Task
+    from nidaqmx.stream_readers import AnalogUnscaledReader
+    from nidaqmx.task.channels import AIChannel
 
 log = logging.getLogger(__name__)
 
@@ -51,8 +56,8 @@ class Acquisition:
 
     position: str
     board: Board
-    task: Any
-    reader: Any
+    task: Task
+    reader: AnalogUnscaledReader
     buffer: NDArray[np.int16 | np.int32]
     part_samples: int
     sample_rate_hz: float
@@ -153,8 +158,9 @@ def commit_acquisition(
 
 
 def _configure(
-    task: Any, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, record: Record
-) -> Any:
+    task: Task, parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, record: Record
+) -> AIChannel:
+    """Configure channel, sample clock, reference clock and trigger of a task; return its channel."""
     from nidaqmx.constants import AcquisitionType, Coupling, Slope, TerminalConfiguration
 
     physical = f"{board.name}/{wiring.input}"
@@ -185,11 +191,12 @@ def _configure(
 
 
 def _samples(parameters: DaqmxParameters, record: Record) -> int:
+    """Return the number of samples of a record."""
     return parameters.whole_strike_samples if record == "pulse" else parameters.record_samples
 
 
 def _start_by_coil(
-    task: Any, parameters: DaqmxParameters, position: str, coil_board: Board, board: Board, record: Record
+    task: Task, parameters: DaqmxParameters, position: str, coil_board: Board, board: Board, record: Record
 ) -> None:
     """Configure the start by an edge of the coil's counter: with the pulse, or the holdoff after its end.
 
@@ -219,6 +226,7 @@ def _start_by_coil(
 
 
 def _check_delay(parameters: DaqmxParameters, board: Board, delay_s: float) -> None:
+    """Reject a start delay of the board that is not the requested holdoff, or cannot work."""
     asked_s = parameters.holdoff_s or 0.0
     try:
         parameters.check_holdoff(delay_s)
@@ -244,7 +252,7 @@ _CLOCK_HZ = {"PXI_Clk10": 10e6, "PXIe_Clk100": 100e6}
 
 
 def _committed(
-    task: Any, channel: Any, parameters: DaqmxParameters, position: str, board: Board, record: Record
+    task: Task, channel: AIChannel, parameters: DaqmxParameters, position: str, board: Board, record: Record
 ) -> Acquisition:
     """Read back the essential settings and reject silent changes."""
     from nidaqmx.stream_readers import AnalogUnscaledReader
@@ -295,7 +303,7 @@ def _committed(
     )
 
 
-def _calibration(channel: Any, wiring: TransducerWiring, board: Board) -> Calibration:
+def _calibration(channel: AIChannel, wiring: TransducerWiring, board: Board) -> Calibration:
     """Return the scaling of the board's codes; reject it if its ends are not those of the range."""
     coefficients = np.array(channel.ai_dev_scaling_coeff, dtype=np.float64)
     bits = float(channel.ai_resolution)
@@ -322,6 +330,7 @@ def _calibration(channel: Any, wiring: TransducerWiring, board: Board) -> Calibr
 def _settings(
     parameters: DaqmxParameters, wiring: TransducerWiring, board: Board, level_v: float, *, triggered: bool
 ) -> dict[str, float | str]:
+    """Return the settings that are stored with each record, SI units in the names."""
     settings: dict[str, float | str] = {
         "board_serial": board.serial,
         "product": board.product,

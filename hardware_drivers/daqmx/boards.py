@@ -6,12 +6,15 @@ import logging
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 from hardware_drivers.daqmx.connection import Connection
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.translation import metadata, vendor_call
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
+
+if TYPE_CHECKING:
+    from nidaqmx.system import Device
 
 log = logging.getLogger(__name__)
 
@@ -40,7 +43,7 @@ class Board:
     serial: str
     name: str
     product: str
-    device: Any
+    device: Device
     calibrates_itself: bool
     calibration_date: str
     calibration_temperature_c: float
@@ -57,12 +60,12 @@ def serial_text(serial: int) -> str:
     return f"{serial:08X}"
 
 
-def same_serial(text: str) -> str:
+def normalized_serial(text: str) -> str:
     """Return a configured serial number in the one form that is compared."""
     return serial_text(int(text, 16))
 
 
-def installed(connection: Connection) -> dict[str, Any]:
+def installed(connection: Connection) -> dict[str, Device]:
     """Return all boards the driver knows by serial number (0: NI's simulated devices; use one at a time)."""
     system = connection.system()
     with vendor_call("listing the boards"):
@@ -90,7 +93,7 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
     """
     known = installed(connection)
     found = {}
-    for serial in sorted({same_serial(text) for text in serials}):
+    for serial in sorted({normalized_serial(text) for text in serials}):
         if serial not in known:
             raise ConnectionLostError(
                 f"no board with serial number {serial}; there are: {_names(known)}; check its power, seating "
@@ -100,7 +103,7 @@ def find_boards(connection: Connection, serials: Iterable[str]) -> dict[str, Boa
     return found
 
 
-def describe(serial: str, device: Any) -> Board:
+def describe(serial: str, device: Device) -> Board:
     """Read a board's description from the driver."""
     with vendor_call(f"reading what board {serial} is"):
         name, product = str(device.name), str(device.product_type)
@@ -131,7 +134,8 @@ def describe(serial: str, device: Any) -> Board:
     )
 
 
-def _names(boards: Mapping[str, Any]) -> str:
+def _names(boards: Mapping[str, Device]) -> str:
+    """Return serial numbers and names of boards for a message."""
     return ", ".join(f"{serial} ({device.name})" for serial, device in boards.items()) or "none"
 
 

@@ -18,11 +18,11 @@ import logging
 import threading
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 
 from hardware_drivers.daqmx.acquisition import Acquisition, Record, commit_acquisition
-from hardware_drivers.daqmx.boards import Board, check_board, find_boards, same_serial
+from hardware_drivers.daqmx.boards import Board, check_board, find_boards, normalized_serial
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
 from hardware_drivers.daqmx.connection import Connection, client_name, package_versions
@@ -142,32 +142,32 @@ class Chassis:
             self._cleared_by_name(ROLES)
 
     def _commit(self, position: str, record: Record) -> Turn:
+        """Commit the tasks of a transducer, the coil first; an error leaves none of them."""
         wiring = self.parameters.transducers[position]
         connection = self.connection
-        coil_board = self._boards[same_serial(wiring.coil_serial)]
-        board = self._boards[same_serial(wiring.board_serial)]
-        coil = commit_coil(connection, self.parameters, position, coil_board) if wiring.strikes else None
-        acquisition = None
-        try:
+        coil_board = self._boards[normalized_serial(wiring.coil_serial)]
+        board = self._boards[normalized_serial(wiring.board_serial)]
+        with ExitStack() as undo:
+            coil = acquisition = None
+            if wiring.strikes:
+                coil = commit_coil(connection, self.parameters, position, coil_board)
+                undo.callback(coil.close)
             if wiring.digitizes:
                 acquisition = commit_acquisition(
                     connection, self.parameters, position, board, coil_board, record=record
                 )
-        except BaseException:
-            if coil is not None:
-                coil.close()
-            raise
+            undo.pop_all()
         return Turn(position=position, record=record, acquisition=acquisition, coil=coil)
 
     def prove(self) -> None:
         """Commit every transducer once, so that the hardware rejects settings before a test starts."""
         for position, wiring in self.parameters.transducers.items():
             if wiring.digitizes:
-                check_board(self._boards[same_serial(wiring.board_serial)], wiring, self.parameters)
+                check_board(self._boards[normalized_serial(wiring.board_serial)], wiring, self.parameters)
             self.turn(position)
         self.end_turn()
 
-    def refuse_made_up(self) -> None:
+    def require_real_boards(self) -> None:
         """Raise for devices that NI's driver simulates: their records contain no wave.
 
         Raises
@@ -223,12 +223,13 @@ class Chassis:
         except BaseException as error:
             self.end_turn()
             if isinstance(error, ConnectionLostError):
-                self._lose(error)
+                self._count_loss(error)
             elif isinstance(error, BusyError):
-                self._meet_owner(error)
+                self._handle_busy_board(error)
             raise
 
-    def _lose(self, error: ConnectionLostError) -> None:
+    def _count_loss(self, error: ConnectionLostError) -> None:
+        """Count a lost connection and select the next recovery step; raise after the last one failed too."""
         self._lost += 1
         tried = self._rung
         self._rung = min(tried + 1, len(LADDER))
@@ -242,7 +243,7 @@ class Chassis:
                 "shot tries the last one again"
             ) from error
 
-    def _meet_owner(self, error: BusyError) -> None:
+    def _handle_busy_board(self, error: BusyError) -> None:
         """Distinguish another owner, who is never disturbed, from a leftover task of this program."""
         # The driver's text names the task that was refused too, and that one is always ours.
         owner = owner_in(str(error.__cause__))
@@ -250,7 +251,7 @@ class Chassis:
             self._shared = True
             return
         lost = ConnectionLostError(f"{error}; that is a task of our own, which the driver did not clear")
-        self._lose(lost)
+        self._count_loss(lost)
         raise lost from error
 
     def recovered(self) -> None:
@@ -266,13 +267,14 @@ class Chassis:
         if self._rung == 1:
             self.connection.clear_leftovers(ROLES)
         elif self._rung == 2:
-            self._boards = find_boards(self.connection, _serials(self.parameters))
+            self._boards = find_boards(self.connection, serials_of(self.parameters))
             self._reset_boards()
         else:
             self._connect()
         self._broken = False
 
     def _reset_boards(self) -> None:
+        """Reset the boards, unless another program uses one of them."""
         if self._shared:
             log.warning("not resetting: somebody else uses a board of ours too")
             return
@@ -292,7 +294,7 @@ class Chassis:
             self._connection.close()
         self._connection = Connection(self.parameters)
         self._connection.clear_leftovers(ROLES)
-        self._boards = find_boards(self._connection, _serials(self.parameters))
+        self._boards = find_boards(self._connection, serials_of(self.parameters))
         self.driver_version = self._connection.driver_version()
 
     @property
@@ -310,14 +312,14 @@ class Chassis:
         self._recover()
         done = {}
         wirings = self.parameters.transducers.values()
-        for serial in {same_serial(wiring.board_serial) for wiring in wirings if wiring.digitizes}:
+        for serial in {normalized_serial(wiring.board_serial) for wiring in wirings if wiring.digitizes}:
             board = self._boards[serial]
             if not board.calibrates_itself:
                 done[serial] = "this board cannot calibrate itself"
                 continue
             with vendor_call(f"self-calibrating {board.label}"):
                 board.device.self_cal()
-        self._boards = find_boards(self.connection, _serials(self.parameters))
+        self._boards = find_boards(self.connection, serials_of(self.parameters))
         self.prove()
         for serial, board in self._boards.items():
             if serial not in done and board.calibrates_itself:
@@ -348,7 +350,7 @@ class Chassis:
                     self._lock.release()
 
 
-def _serials(parameters: DaqmxParameters) -> list[str]:
+def serials_of(parameters: DaqmxParameters) -> list[str]:
     """Return the serial numbers of the boards of every transducer."""
     wirings = parameters.transducers.values()
     return [wiring.board_serial for wiring in wirings] + [wiring.coil_serial for wiring in wirings]

@@ -57,6 +57,7 @@ class ClientLock:
 
 
 def _lock(file: IO[bytes]) -> None:
+    """Lock the first byte of a file for this process; an OSError if another process holds it."""
     if sys.platform == "win32":
         import msvcrt
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 import logging
 import math
 import time
+from contextlib import ExitStack
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 from hardware_drivers.daqmx.boards import Board
 from hardware_drivers.daqmx.connection import Connection, clear_task, clear_watchdog
@@ -23,6 +24,10 @@ from hardware_drivers.errors import (
     ConnectionLostError,
     InstrumentError,
 )
+
+if TYPE_CHECKING:
+    from nidaqmx import Task
+    from nidaqmx.system.watchdog import WatchdogTask
 
 log = logging.getLogger(__name__)
 
@@ -42,8 +47,8 @@ class Coil:
 
     position: str
     board: Board
-    task: Any
-    watchdog: Any
+    task: Task
+    watchdog: WatchdogTask | None
     longest_s: float
     on_until: float = 0.0
 
@@ -70,14 +75,15 @@ class Coil:
             raise
         self.on_until = 0.0
         if self.watchdog is not None:
-            self._relax()
+            self._stop_watchdog(self.watchdog)
 
-    def _relax(self) -> None:
+    def _stop_watchdog(self, watchdog: WatchdogTask) -> None:
+        """Stop the watchdog; an expired one pulled the coil low during the strike, which is then missed."""
         with vendor_call(f"stopping the watchdog of {self.position!r}"):
-            expired = bool(self.watchdog.expired)
+            expired = bool(watchdog.expired)
             if expired:
-                self.watchdog.clear_expiration()
-            self.watchdog.stop()
+                watchdog.clear_expiration()
+            watchdog.stop()
         if expired:
             raise AcquisitionTimeoutError(
                 f"the watchdog of {self.board.label} expired during the strike at {self.position!r} and "
@@ -121,22 +127,16 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
         )
     doing = f"setting up the coil of {position!r} on {board.label}"
     wired = parameters.watchdog_of(board.serial)
-    # First: some boards let no watchdog be reserved next to other tasks (-201477).
-    watchdog = None if wired is None else _commit_watchdog(connection, wired, board)
-    try:
-        task = connection.task("striker")
-    except BaseException:
+    with ExitStack() as undo:
+        # First: some boards let no watchdog be reserved next to other tasks (-201477).
+        watchdog = None if wired is None else _commit_watchdog(connection, wired, board)
         if watchdog is not None:
-            clear_watchdog(watchdog, doing)
-        raise
-    try:
+            undo.callback(clear_watchdog, watchdog, doing)
+        task = connection.task("striker")
+        undo.callback(clear_task, task, doing)
         with vendor_call(doing):
             _configure(task, parameters, position, board)
-    except BaseException:
-        clear_task(task, doing)
-        if watchdog is not None:
-            clear_watchdog(watchdog, doing)
-        raise
+        undo.pop_all()
     return Coil(
         position=position,
         board=board,
@@ -146,7 +146,8 @@ def commit_coil(connection: Connection, parameters: DaqmxParameters, position: s
     )
 
 
-def _configure(task: Any, parameters: DaqmxParameters, position: str, board: Board) -> None:
+def _configure(task: Task, parameters: DaqmxParameters, position: str, board: Board) -> None:
+    """Configure one pulse that idles low, verify terminal, level and length, then commit."""
     from nidaqmx.constants import Level, TaskMode
 
     wiring = parameters.transducers[position]
@@ -176,7 +177,8 @@ def _configure(task: Any, parameters: DaqmxParameters, position: str, board: Boa
     task.control(TaskMode.TASK_COMMIT)
 
 
-def _commit_watchdog(connection: Connection, wired: WatchdogWiring, board: Board) -> Any:
+def _commit_watchdog(connection: Connection, wired: WatchdogWiring, board: Board) -> WatchdogTask:
+    """Create and commit a board's watchdog, which pulls the wired lines low when it expires."""
     from nidaqmx.constants import Level, TaskMode
     from nidaqmx.types import DOExpirationState
 

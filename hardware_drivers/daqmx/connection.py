@@ -14,11 +14,19 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Sequence
 from importlib.metadata import version
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.daqmx.translation import metadata, vendor_call
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError
+
+if TYPE_CHECKING:
+    from nidaqmx import Task
+    from nidaqmx.grpc_session_options import GrpcSessionOptions
+    from nidaqmx.system import System
+    from nidaqmx.system.watchdog import WatchdogTask
+
+    from hardware_drivers.daqmx.remote import Channel
 
 log = logging.getLogger(__name__)
 
@@ -51,7 +59,7 @@ class Connection:
 
     def __init__(self, parameters: DaqmxParameters) -> None:
         self._parameters = parameters
-        self._channel: Any = None
+        self._channel: Channel | None = None
         # In the library a name is seen by this process only; on a server a later process must know it.
         remote = parameters.transport == "grpc"
         self._client = client_name(parameters) if remote else f"process-{os.getpid()}"
@@ -65,12 +73,14 @@ class Connection:
         if channel is not None:
             channel.close()
 
-    def system(self) -> Any:
+    def system(self) -> System:
         """Return NI's view of all boards (`nidaqmx.system.System`)."""
         from nidaqmx.system import System
 
         with vendor_call("reaching NI-DAQmx"):
-            return System() if self._channel is None else System.remote(self._options("", attach=False))
+            if self._channel is None:
+                return System()
+            return System.remote(_session_options(self._channel, "", attach=False))
 
     def driver_version(self) -> str:
         """Return the version of NI-DAQmx, as in ``24.8.0``; "unknown" where the driver reports none."""
@@ -79,13 +89,13 @@ class Connection:
             lambda: ".".join(str(part) for part in system.driver_version), "unknown", "the driver's version"
         )
 
-    def task(self, role: str) -> Any:
+    def task(self, role: str) -> Task:
         """Create an empty task (`nidaqmx.Task`) named after this client and its role."""
         from nidaqmx import Task
 
         return self._create_new(role, lambda name: self._create(Task, f"creating the task {name}", name))
 
-    def watchdog(self, device: str, role: str, timeout_s: float) -> Any:
+    def watchdog(self, device: str, role: str, timeout_s: float) -> WatchdogTask:
         """Create the watchdog task of a board (`nidaqmx.system.watchdog.WatchdogTask`)."""
         from nidaqmx.system.watchdog import WatchdogTask
 
@@ -111,6 +121,7 @@ class Connection:
         return f"solimon-{self._client}-" in owner
 
     def _name(self, role: str, mark: int | str) -> str:
+        """Return the name of a task of this client."""
         return f"solimon-{self._client}-{role}-{mark}"
 
     def clear_leftovers(self, roles: Sequence[str]) -> bool:
@@ -145,13 +156,14 @@ class Connection:
         return reached
 
     def _create(
-        self, kind: type[T], doing: str, *arguments: Any, session: str = "", attach: bool = False
+        self, kind: type[T], doing: str, *arguments: object, session: str = "", attach: bool = False
     ) -> T:
+        """Create one of NI's task objects; an error half-way clears what was created."""
         # NI's constructors create first and ask for the task's name then; if that fails, the object is
         # lost and its task stays. So the object is kept apart from its construction.
         task = kind.__new__(kind)
-        name = session or arguments[0]
-        options = None if self._channel is None else self._options(name, attach=attach)
+        name = session or str(arguments[0])
+        options = None if self._channel is None else _session_options(self._channel, name, attach=attach)
         with vendor_call(doing):
             try:
                 kind.__init__(task, *arguments, grpc_options=options)  # type: ignore[call-arg]
@@ -160,18 +172,20 @@ class Connection:
                 raise
         return task
 
-    def _options(self, name: str, *, attach: bool) -> Any:
-        from nidaqmx.grpc_session_options import GrpcSessionOptions, SessionInitializationBehavior
 
-        behaviour = SessionInitializationBehavior
-        return GrpcSessionOptions(
-            self._channel.calls,
-            name,
-            initialization_behavior=behaviour.AUTO if attach else behaviour.INITIALIZE_SERVER_SESSION,
-        )
+def _session_options(channel: Channel, name: str, *, attach: bool) -> GrpcSessionOptions:
+    """Return options for a new session on a server, or (`attach`) for the one of this name if it exists."""
+    from nidaqmx.grpc_session_options import GrpcSessionOptions, SessionInitializationBehavior
+
+    behaviour = SessionInitializationBehavior
+    return GrpcSessionOptions(
+        channel.calls,
+        name,
+        initialization_behavior=behaviour.AUTO if attach else behaviour.INITIALIZE_SERVER_SESSION,
+    )
 
 
-def clear_task(task: Any, doing: str) -> bool:
+def clear_task(task: Task | WatchdogTask, doing: str) -> bool:
     """Release and clear a task in any state; True if it was cleared.
 
     Clearing alone would do; giving back first means that a refusal to clear leaves an empty task, which
@@ -183,12 +197,13 @@ def clear_task(task: Any, doing: str) -> bool:
     return _attempt(task.close, doing)
 
 
-def clear_watchdog(watchdog: Any, doing: str) -> bool:
+def clear_watchdog(watchdog: WatchdogTask, doing: str) -> bool:
     """Release and clear a watchdog, which NI's package lets be cleared a second time, unlike a task."""
     return clear_task(watchdog, doing) or _attempt(watchdog.close, doing)
 
 
 def _attempt(step: Callable[[], None], doing: str) -> bool:
+    """Run one step of a clean-up; return False and log the error if it fails."""
     with warnings.catch_warnings():
         # A task that was never created needs no clearing; NI warns of that.
         warnings.simplefilter("ignore")
@@ -202,6 +217,7 @@ def _attempt(step: Callable[[], None], doing: str) -> bool:
 
 
 def _name_is_taken(error: ConnectionLostError) -> bool:
+    """Check whether an error states that a task of this name exists already."""
     return getattr(error.__cause__, "error_code", 0) == NAME_TAKEN
 
 
@@ -210,7 +226,8 @@ def package_versions() -> dict[str, str]:
     return {"nidaqmx_version": version("nidaqmx")}
 
 
-def _open_channel(parameters: DaqmxParameters) -> Any:
+def _open_channel(parameters: DaqmxParameters) -> Channel:
+    """Open the channel to the gRPC server; a missing extra is a ConfigurationError."""
     try:
         import nidaqmx._grpc_interpreter  # noqa: F401 # the parts of the extra that NI's client needs
 

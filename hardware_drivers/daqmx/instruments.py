@@ -4,49 +4,26 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field
 
 from hardware_drivers.daqmx.chassis import Chassis
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import ConfigurationError, InstrumentError
 from hardware_drivers.instruments import Acquired, require_timeout
+from hardware_drivers.kinds import Opened
 from hardware_drivers.measurement import ShotKey
 
 log = logging.getLogger(__name__)
 
-STRIKER = "striker"
 
-
-class Bench:
-    """State that the instruments of one chassis share: the armed position, a falling striker."""
+class DaqmxBoards:
+    """Boards of one chassis as a digitizer that samples each wave, and a striker that pulses one coil."""
 
     def __init__(self, chassis: Chassis) -> None:
-        self.chassis = chassis
-        self.armed: ShotKey | None = None
-        self.lands_at = 0.0
-
-    def require_position(self, key: ShotKey, what: str) -> None:
-        """Reject a position that is not wired for the requested operation."""
-        wired = self.chassis.parameters.transducers
-        known = [
-            name
-            for name, wiring in wired.items()
-            if (wiring.strikes if what == STRIKER else wiring.digitizes)
-        ]
-        if key.position not in known:
-            raise ConfigurationError(
-                f"no {what} at position {key.position!r}; there are: {', '.join(sorted(known))}; wire it in "
-                "[rig.daqmx.transducers]"
-            )
-
-
-class DaqmxDigitizer:
-    """Digitizer that samples the armed transducer around its own wave."""
-
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
+        self._chassis = chassis
+        self._armed: ShotKey | None = None
+        self._lands_at = 0.0
 
     def arm(self, key: ShotKey) -> None:
         """Start the acquisition: its pre-trigger fills from now on, or after the coil's ringing.
@@ -54,24 +31,27 @@ class DaqmxDigitizer:
         A striker of an earlier strike that no one recorded is left to land first: its wave belongs to
         no shot.
         """
-        bench, chassis = self._bench, self._bench.chassis
+        chassis = self._chassis
         chassis.check_thread()
-        bench.require_position(key, "solitary-wave transducer")
-        if bench.armed is not None:
-            raise ConfigurationError(f"already armed for {bench.armed}; read or disarm first")
-        falling_s = bench.lands_at - time.monotonic()
+        wirings = chassis.parameters.transducers.items()
+        _require_wired(
+            key, "solitary-wave transducer", [name for name, wiring in wirings if wiring.digitizes]
+        )
+        if self._armed is not None:
+            raise ConfigurationError(f"already armed for {self._armed}; read or disarm first")
+        falling_s = self._lands_at - time.monotonic()
         if falling_s > 0.0:
             time.sleep(falling_s)
         with chassis.attempt():
             chassis.acquisition(key.position).start()
-        bench.armed = key
+        self._armed = key
 
     def read(self, timeout_s: float) -> Acquired:
         """Wait for the record and disarm; an error leaves nothing running."""
-        bench, chassis = self._bench, self._bench.chassis
+        chassis = self._chassis
         chassis.check_thread()
         require_timeout(timeout_s)
-        key, bench.armed = bench.armed, None
+        key, self._armed = self._armed, None
         if key is None:
             raise ConfigurationError("not armed; arm before the strike, then read")
         acquired = None
@@ -81,97 +61,97 @@ class DaqmxDigitizer:
                 waveform = acquisition.read(timeout_s)
                 settings = {**acquisition.settings, "driver_version": chassis.driver_version}
                 acquired = Acquired(waveform=waveform, settings=settings)
-                bench.lands_at = 0.0
+                self._lands_at = 0.0
                 chassis.recovered()
                 acquisition.stop()
         except InstrumentError as error:
             if acquired is None:
                 raise
-            # The record is whole; what failed after it is met again, and told, at the next arm.
+            # The record is complete; the next arm meets and reports what failed after it.
             log.warning("the record of %s is sound, but ending its acquisition failed: %s", key, str(error))
         return acquired
 
     def disarm(self) -> None:
         """Stop waiting; harmless when not armed, and when the connection is lost."""
-        self._bench.chassis.check_thread()
-        if self._bench.armed is not None:
-            self._bench.armed = None
-            self._bench.chassis.end_turn()
-
-
-class DaqmxStriker:
-    """Striker that pulses one coil by its board's counter."""
-
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
+        self._chassis.check_thread()
+        if self._armed is not None:
+            self._armed = None
+            self._chassis.end_turn()
 
     def strike(self, key: ShotKey) -> None:
         """Pulse the coil once; on return it is off. In a dry run nothing moves."""
-        bench, chassis = self._bench, self._bench.chassis
+        chassis, parameters = self._chassis, self._chassis.parameters
         chassis.check_thread()
-        bench.require_position(key, STRIKER)
-        armed = bench.armed
+        _require_wired(
+            key, "striker", [name for name, wiring in parameters.transducers.items() if wiring.strikes]
+        )
+        armed = self._armed
         if armed is not None and armed.position != key.position:
             raise ConfigurationError(
                 f"a strike at {key.position!r} while {armed.position!r} is armed goes unseen; disarm first"
             )
-        if chassis.parameters.dry_run:
+        if parameters.dry_run:
             return
-        parameters = chassis.parameters
         try:
             with chassis.attempt():
                 chassis.coil(key.position).pulse()
         except BaseException:
-            bench.armed = None  # its acquisition was ended with the coil
+            self._armed = None  # its acquisition was ended with the coil
             raise
         finally:
-            bench.lands_at = chassis.coil_off_at + parameters.fall_s + parameters.fall_margin_s
+            self._lands_at = chassis.coil_off_at + parameters.fall_s + parameters.fall_margin_s
 
     def make_safe(self) -> None:
         """Switch off every coil that may be on; disarm the armed acquisition."""
-        self._bench.chassis.check_thread()
-        self._bench.armed = None
-        self._bench.chassis.make_safe()
-
-
-class DaqmxSelfCalibration:
-    """Self-calibration of the digitizer boards, between sets."""
-
-    def __init__(self, bench: Bench) -> None:
-        self._bench = bench
+        self._chassis.check_thread()
+        self._armed = None
+        self._chassis.make_safe()
 
     def self_calibrate(self) -> Mapping[str, str]:
         """Calibrate every digitizer board and read its scaling."""
-        bench, chassis = self._bench, self._bench.chassis
+        chassis = self._chassis
         chassis.check_thread()
-        if bench.armed is not None:
-            raise ConfigurationError(f"armed for {bench.armed}; calibrate between sets")
+        if self._armed is not None:
+            raise ConfigurationError(f"armed for {self._armed}; calibrate between sets")
         with chassis.attempt():
             return chassis.self_calibrate()
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class DaqmxInstruments:
-    """Instruments of one chassis, from which a rig is composed together with the clock."""
-
-    digitizer: DaqmxDigitizer
-    striker: DaqmxStriker
-    self_calibrating: DaqmxSelfCalibration
-    identity: Mapping[str, str] = field(default_factory=dict)
+def _require_wired(key: ShotKey, role: str, positions: Collection[str]) -> None:
+    """Reject a position that is not wired for a role."""
+    if key.position not in positions:
+        raise ConfigurationError(
+            f"no {role} at position {key.position!r}; there are: {', '.join(sorted(positions))}; wire it in "
+            "[rig.daqmx.transducers]"
+        )
 
 
 @contextmanager
-def opened(parameters: DaqmxParameters) -> Iterator[DaqmxInstruments]:
-    """Open and check the boards; at the end the coil is off and every task cleared."""
+def open_daqmx(parameters: DaqmxParameters) -> Iterator[Opened]:
+    """Find and check the boards, and yield the instruments; at the end the coil is off and no task is left.
+
+    The thread that opens them is the only one that may call them.
+
+    Raises
+    ------
+    ConfigurationError
+        No driver, a board that cannot do what is asked, wiring that does not exist.
+    BusyError
+        Another program holds a board, named in the message.
+    ConnectionLostError
+        A board or the gRPC server is not there.
+    """
     chassis = Chassis(parameters)
-    bench = Bench(chassis)
     try:
-        chassis.refuse_made_up()
-        yield DaqmxInstruments(
-            digitizer=DaqmxDigitizer(bench),
-            striker=DaqmxStriker(bench),
-            self_calibrating=DaqmxSelfCalibration(bench),
-            identity=chassis.identity(),
+        chassis.require_real_boards()
+        boards = DaqmxBoards(chassis)
+        yield Opened(
+            digitizer=boards,
+            striker=boards,
+            self_calibrating=boards,
+            self_calibration_interval_h=parameters.self_calibration_interval_h,
+            identity={**chassis.identity(), **({"dry_run": "yes"} if parameters.dry_run else {})},
+            dry_run=parameters.dry_run,
         )
     finally:
         chassis.close()

@@ -3,34 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 
-from hardware_drivers.daqmx import open_daqmx
-from hardware_drivers.daqmx.look import board_findings
 from hardware_drivers.daqmx.parameters import REACHED_BY, DaqmxParameters
 from hardware_drivers.kinds import Finding, Kind, Opened, Opening, Role
 
 
-@contextmanager
-def _open(parameters: DaqmxParameters, opening: Opening) -> Iterator[Opened]:
-    with open_daqmx(parameters) as boards:
-        yield Opened(
-            digitizer=boards.digitizer,
-            striker=boards.striker,
-            self_calibrating=boards.self_calibrating,
-            self_calibration_interval_h=parameters.self_calibration_interval_h,
-            identity={**boards.identity, **({"dry_run": "yes"} if parameters.dry_run else {})},
-            dry_run=parameters.dry_run,
-        )
+def _open(parameters: DaqmxParameters, opening: Opening) -> AbstractContextManager[Opened]:
+    """Open the boards."""
+    from hardware_drivers.daqmx.instruments import open_daqmx
+
+    return open_daqmx(parameters)
 
 
 def _check(parameters: DaqmxParameters, opening: Opening) -> Iterator[Finding]:
-    from hardware_drivers.daqmx.survey import survey_rig
+    """Return findings on driver, boards and wiring; nothing strikes."""
+    from hardware_drivers.daqmx.look import board_findings
 
-    yield from board_findings(parameters, survey_rig, shot_interval_s=opening.shot_interval_s)
+    return board_findings(parameters, shot_interval_s=opening.shot_interval_s)
 
 
 def _packages(parameters: DaqmxParameters) -> tuple[str, ...]:
+    """Return the distributions that the transport needs."""
     return ("nidaqmx", "grpcio") if parameters.transport == "grpc" else ("nidaqmx",)
 
 

@@ -8,14 +8,11 @@ from __future__ import annotations
 
 import re
 import socket
-from collections.abc import Callable
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 from hardware_drivers.daqmx.parameters import DaqmxParameters, WatchdogWiring
+from hardware_drivers.daqmx.survey import survey_rig
 from hardware_drivers.kinds import Finding
-
-if TYPE_CHECKING:
-    from hardware_drivers.daqmx.survey import BoardFacts, Survey
 
 OLDEST_DRIVER = (20, 1)
 """NI-DAQmx below this is not supported: the first release with all of Windows and today's Linux systems."""
@@ -25,35 +22,23 @@ SERVER_TIMEOUT_S = 3.0
 LARGEST_DUTY = 0.25
 """More on-time than this is what small electromagnets are usually not rated for (assumption: see yours)."""
 
-OWNED = "owner: "
-"""How the driver's errors name who holds a board (`hardware_drivers.daqmx.translation`)."""
 
-BOARD_FACTS = (
-    "serial", "name", "product", "max_rate_hz", "temperature_c", "calibration_date",
-    "calibration_temperature_c",
-)  # fmt: skip
-
-LOOK_UP = "look the message up in docs/reference/faults-daqmx.md"
-
-
-def board_findings(
-    parameters: DaqmxParameters, survey: Callable[[DaqmxParameters], Survey], *, shot_interval_s: float
-) -> list[Finding]:
-    """Return findings on driver, boards and every transducer's wiring."""
-    strikes = any(wiring.strikes for wiring in parameters.transducers.values())
-    found = [_duty(parameters.pulse_s, shot_interval_s)] if strikes else []
+def board_findings(parameters: DaqmxParameters, *, shot_interval_s: float) -> Iterator[Finding]:
+    """Yield findings on driver, boards, every transducer's wiring and the watchdogs."""
+    if any(wiring.strikes for wiring in parameters.transducers.values()):
+        yield _duty(parameters.pulse_s, shot_interval_s)
     if parameters.transport == "grpc":
-        found.append(_server(parameters.grpc_address))
-        if found[-1].state == "fail":
-            return found
-    facts = survey(parameters)
-    if facts.driver_version:
-        found.append(_driver(facts.driver_version))
-    found += [_finding_of_board(finding, facts, parameters) for finding in facts.findings]
-    found += [_watchdog(parameters, watchdog) for watchdog in parameters.all_watchdogs]
+        server = _server(parameters.grpc_address)
+        yield server
+        if server.state == "fail":
+            return
+    survey = survey_rig(parameters)
+    if survey.driver_version:
+        yield _driver(survey.driver_version)
+    yield from survey.findings
+    yield from (_watchdog(parameters, watchdog) for watchdog in parameters.all_watchdogs)
     if parameters.all_watchdogs:
-        found += _unwatched(parameters)
-    return found
+        yield from _unwatched(parameters)
 
 
 def _duty(pulse_s: float, shot_interval_s: float) -> Finding:
@@ -88,6 +73,7 @@ def _server(address: str) -> Finding:
 
 
 def _driver(text: str) -> Finding:
+    """Return the finding on the driver's version."""
     oldest = ".".join(map(str, OLDEST_DRIVER))
     fits = tuple(int(part) for part in re.findall(r"\d+", text)) >= OLDEST_DRIVER
     return Finding(
@@ -98,61 +84,6 @@ def _driver(text: str) -> Finding:
         remedy="install a newer NI-DAQmx: docs/how-to/install-the-ni-driver.md",
         values={"driver_version": text, "oldest": oldest},
     )
-
-
-def _finding_of_board(finding: Finding, found: Survey, parameters: DaqmxParameters) -> Finding:
-    state, remedy = finding.state, finding.remedy
-    owned = state == "fail" and OWNED in f"{finding.detail}; {finding.remedy}"
-    kind, _, label = finding.subject.partition(" ")
-    if state == "fail" and kind == "board" and int(label, 16) not in _wanted(parameters):
-        state = "warn"  # someone else's board
-    values: dict[str, float | str | bool | None] = {}
-    detail = finding.detail
-    if kind == "transducer":
-        if "as asked" in detail:
-            detail = f"{detail}: {_settings_text(parameters, label, finding.check)}"
-        if finding.check == "noise":
-            level_v = parameters.trigger_level_v
-            values = {"noise_rms_v": found.noise_rms_v.get(label), "trigger_level_v": level_v}
-    if kind == "board":
-        values = _facts(next((board for board in found.boards if board.serial == label), None))
-    if owned:
-        detail = f"{detail}; {remedy}"  # the owner may stand in either
-    return Finding(
-        subject=finding.subject,
-        check=finding.check,
-        state=state,
-        detail=detail,
-        remedy=remedy or LOOK_UP,
-        held=owned,
-        values=values,
-    )
-
-
-def _wanted(parameters: DaqmxParameters) -> set[int]:
-    """Return the serial numbers of the configured boards."""
-    wirings = parameters.transducers.values()
-    return {int(serial, 16) for wiring in wirings for serial in (wiring.board_serial, wiring.coil_serial)}
-
-
-def _facts(board: BoardFacts | None) -> dict[str, float | str | bool | None]:
-    if board is None:
-        return {}
-    return {name: getattr(board, name) for name in BOARD_FACTS}
-
-
-def _settings_text(parameters: DaqmxParameters, position: str, check: str) -> str:
-    """Return in words the settings that the board accepted."""
-    wiring = parameters.transducers[position]
-    if check == "trigger":
-        held = "" if parameters.holdoff_s is None else f", held off for {parameters.holdoff_s * 1e3:g} ms"
-        return (
-            f"{parameters.trigger_level_v:g} V {parameters.trigger_slope} at {wiring.input}, "
-            f"{parameters.pretrigger_samples} of {parameters.record_samples} samples before it{held}"
-        )
-    if check == "coil's counter":
-        return f"{wiring.counter} to {wiring.output_terminal}, {parameters.pulse_s:g} s, low when idle"
-    return f"{wiring.input}, +-{wiring.range_v:g} V, {parameters.sample_rate_hz / 1e6:g} MS/s"
 
 
 def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
@@ -176,10 +107,10 @@ def _watchdog(parameters: DaqmxParameters, watchdog: WatchdogWiring) -> Finding:
     )
 
 
-def _unwatched(parameters: DaqmxParameters) -> list[Finding]:
+def _unwatched(parameters: DaqmxParameters) -> Iterator[Finding]:
     """Return warnings on boards that drive coils without a watchdog while others have one."""
     coils = {int(wiring.coil_serial, 16) for wiring in parameters.transducers.values() if wiring.strikes}
-    return [
+    return (
         Finding(
             subject=f"watchdog of board {serial:08X}",
             check="",
@@ -189,7 +120,7 @@ def _unwatched(parameters: DaqmxParameters) -> list[Finding]:
         )
         for serial in sorted(coils)
         if parameters.watchdog_of(f"{serial:X}") is None
-    ]
+    )
 
 
 def digital_name(terminal: str) -> str:

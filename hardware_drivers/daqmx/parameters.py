@@ -204,6 +204,7 @@ class DaqmxParameters:
         self._check_watchdogs()
 
     def _check_record(self) -> None:
+        """Reject a pre-trigger longer than the record, no transducer, or a trigger level outside a range."""
         check_pair(self, "pretrigger_samples", "less than", "record_samples")
         if not self.transducers:
             raise ValueError("transducers is empty; wire at least one position")
@@ -248,6 +249,7 @@ class DaqmxParameters:
             )
 
     def _check_transport(self) -> None:
+        """Reject an address, a name or encryption that does not fit the transport."""
         if self.transport == "grpc":
             _require_match("grpc_address", self.grpc_address, _ADDRESS, "host:port, like chassis.lab:31763")
         elif self.grpc_address:
@@ -291,6 +293,7 @@ class DaqmxParameters:
         return (self.watchdog,) if self.watchdog is not None else self.watchdogs or ()
 
     def _check_watchdogs(self) -> None:
+        """Reject two watchdogs of one board, or both notations at once."""
         if self.watchdog is not None and self.watchdogs:
             raise ValueError(
                 "watchdog and watchdogs are both given; write that of each board as [[rig.daqmx.watchdogs]]"
@@ -304,6 +307,7 @@ class DaqmxParameters:
             self._check_watchdog(watchdog)
 
     def _check_watchdog(self, watchdog: WatchdogWiring) -> None:
+        """Reject a watchdog shorter than a strike, or of a board that drives no coil."""
         if watchdog.timeout_s <= self.longest_strike_s:
             raise ValueError(
                 f"watchdog.timeout_s is {watchdog.timeout_s} s; it must be longer than a strike "
@@ -351,5 +355,6 @@ class DaqmxParameters:
 
 
 def _require_match(name: str, value: str, pattern: re.Pattern[str], wanted: str) -> None:
+    """Raise ValueError unless a text has the pattern that its key requires."""
     if not pattern.match(value):
         raise ValueError(f"{name} is {value!r}; it must be {wanted}")

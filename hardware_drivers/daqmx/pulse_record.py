@@ -1,31 +1,11 @@
-"""Record of one strike at the input, from the coil's switching on to the end of the wave, untriggered."""
+"""Records of one input without a trigger, at rest or over a complete strike."""
 
 from __future__ import annotations
-
-from contextlib import closing
-from dataclasses import dataclass
 
 from hardware_drivers.daqmx.chassis import Chassis
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.measurement import Waveform
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class PulseRecord:
-    """Voltage at a sensor's input during one strike.
-
-    Attributes
-    ----------
-    noise
-        Record of the usual length before it, with the coil at rest.
-    strike
-        Its first sample is taken as the coil goes on, which is `DaqmxParameters.pulse_s` before it goes off.
-    """
-
-    position: str
-    noise: Waveform
-    strike: Waveform
 
 
 class FreeInput:
@@ -65,8 +45,11 @@ class FreeInput:
         return record
 
     def strike(self) -> Waveform:
-        """Record one strike from the coil's switching on; on return the coil is off."""
-        self._chassis.refuse_made_up()
+        """Record one strike; on return the coil is off.
+
+        The first sample is taken as the coil goes on, which is `DaqmxParameters.pulse_s` before it goes off.
+        """
+        self._chassis.require_real_boards()
         with self._chassis.attempt():
             acquisition = self._chassis.acquisition(self.position, "pulse")
             acquisition.start()
@@ -78,9 +61,3 @@ class FreeInput:
     def close(self) -> None:
         """Switch the coil off and clear every task; harmless when done before."""
         self._chassis.close()
-
-
-def record_pulse(parameters: DaqmxParameters, position: str, timeout_s: float) -> PulseRecord:
-    """Strike once, as `FreeInput` does; the coil is off and every task cleared on return."""
-    with closing(FreeInput(parameters, position, timeout_s)) as free:
-        return PulseRecord(position=position, noise=free.quiet(), strike=free.strike())

@@ -48,10 +48,9 @@ class Deadlines(grpc.UnaryUnaryClientInterceptor):  # type: ignore[misc] # grpc 
         self._call_timeout_s = call_timeout_s
 
     def intercept_unary_unary(
-        self, continuation: Callable[[Any, Any], Any], client_call_details: Any, request: Any
-    ) -> Any:
+        self, continuation: Callable[..., grpc.Call], details: grpc.ClientCallDetails, request: Any
+    ) -> grpc.Call:
         """Send the request with its deadline."""
-        details = client_call_details
         bounded = _CallDetails(
             details.method,
             self.deadline_s(details.method, request),
@@ -107,7 +106,8 @@ class Channel:
         self._plain.close()
 
 
-def _credentials(tls: GrpcTls) -> Any:
+def _credentials(tls: GrpcTls) -> grpc.ChannelCredentials:
+    """Return the credentials of an encrypted channel, from PEM files."""
     root, key, certificate = map(_read, (tls.root_certificate, tls.private_key, tls.certificate))
     return grpc.ssl_channel_credentials(root, key, certificate)
 

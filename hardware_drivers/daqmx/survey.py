@@ -5,23 +5,26 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass, field, replace
+from contextlib import ExitStack
+from dataclasses import dataclass, field, fields, replace
 from functools import partial
-from importlib.metadata import version
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from hardware_drivers.daqmx.acquisition import Acquisition, commit_acquisition
-from hardware_drivers.daqmx.boards import Board, check_board, describe, installed, same_serial
-from hardware_drivers.daqmx.chassis import ROLES
+from hardware_drivers.daqmx.boards import Board, check_board, describe, installed, normalized_serial
+from hardware_drivers.daqmx.chassis import ROLES, serials_of
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.coil import Coil, commit_coil
 from hardware_drivers.daqmx.connection import Connection, client_name
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.translation import metadata, vendor_call
 from hardware_drivers.errors import ConnectionLostError, InstrumentError
-from hardware_drivers.kinds import Finding, State
+from hardware_drivers.kinds import Finding, State, Value, finding_of_error
+
+if TYPE_CHECKING:
+    from nidaqmx.system import Device
 
 log = logging.getLogger(__name__)
 
@@ -33,15 +36,19 @@ WARMED_K = 5.0
 
 READ_TIMEOUT_S = 5.0
 
+BOARD_VALUES = (
+    "serial", "name", "product", "max_rate_hz", "temperature_c", "calibration_date",
+    "calibration_temperature_c",
+)  # fmt: skip
+"""Facts of a board that its findings hand to programs."""
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class BoardFacts:
+LOOK_UP = "look the message up in docs/reference/faults-daqmx.md"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class BoardFacts(Board):
     """Facts about one board of the system, configured or not."""
 
-    serial: str
-    name: str
-    product: str
-    simulated: bool
     ours: bool
     max_rate_hz: float
     ranges_v: tuple[tuple[float, float], ...]
@@ -49,134 +56,125 @@ class BoardFacts:
     analog_trigger: bool
     terminals: tuple[str, ...]
     counters: tuple[str, ...]
-    calibrates_itself: bool
-    calibration_date: str
-    calibration_temperature_c: float
     temperature_c: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Survey:
-    """Result of a survey.
-
-    Attributes
-    ----------
-    noise_rms_v
-        By position: noise at the input over one record, without a strike.
-    """
-
-    package_version: str
-    driver_version: str = ""
-    boards: tuple[BoardFacts, ...] = ()
-    noise_rms_v: Mapping[str, float] = field(default_factory=dict)
-    findings: tuple[Finding, ...] = ()
-
-    @property
-    def state(self) -> State:
-        """Return the worst state of all findings."""
-        states = {finding.state for finding in self.findings}
-        return "fail" if "fail" in states else "warn" if "warn" in states else "ok"
 
 
 def survey_boards(transport: Literal["library", "grpc"] = "library", grpc_address: str = "") -> Survey:
     """Survey driver and boards before anything is wired; errors become findings."""
     no_wiring = {"": TransducerWiring(board_serial="0")}
-    visit = _BoardSurvey(
-        DaqmxParameters(transducers=no_wiring, transport=transport, grpc_address=grpc_address)
-    )
-    connection = visit.reached()
-    if connection is not None:
-        try:
-            visit.at_installed(connection)
-        finally:
-            connection.close()
-    visit.end()
-    return visit.result()
+    survey = Survey(DaqmxParameters(transducers=no_wiring, transport=transport, grpc_address=grpc_address))
+    with ExitStack() as stack:
+        if (connection := survey.reach(stack)) is not None:
+            survey.list_boards(connection)
+    return survey
 
 
 def survey_rig(parameters: DaqmxParameters) -> Survey:
     """Survey driver, boards and every transducer's wiring without a strike; errors become findings."""
-    visit = _BoardSurvey(parameters)
-    connection = visit.reached()
-    if connection is not None:
-        try:
-            visit.at_boards(connection)
+    survey = Survey(parameters)
+    with ExitStack() as stack:
+        if (connection := survey.reach(stack)) is not None:
+            survey.check_boards(connection)
             for position in parameters.transducers:
-                visit.at_transducer(connection, position)
-        finally:
-            connection.close()
-    visit.end()
-    return visit.result()
+                survey.check_transducer(connection, position)
+    return survey
 
 
-class _BoardSurvey:
-    """Survey in progress: collects the findings."""
+@dataclass(slots=True, eq=False)
+class Survey:
+    """Survey of boards and wiring: the findings so far.
 
-    def __init__(self, parameters: DaqmxParameters) -> None:
+    Attributes
+    ----------
+    facts_by_serial
+        Facts of each board that responds.
+    noise_rms_v
+        By position: noise at the input over one record, without a strike.
+    """
+
+    parameters: DaqmxParameters
+    driver_version: str = ""
+    facts_by_serial: dict[str, BoardFacts] = field(default_factory=dict)
+    noise_rms_v: dict[str, float] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+    _rehearsal: bool = False
+
+    def __post_init__(self) -> None:
         # A rehearsal's settings would leave the trigger unchecked.
-        self._parameters, self._rehearsal = replace(parameters, dry_run=False), parameters.dry_run
-        self._findings: list[Finding] = []
-        self._facts: list[BoardFacts] = []
-        self._boards: dict[str, Board] = {}
-        self._noise_rms_v: dict[str, float] = {}
-        self._driver_version = ""
-        self._lock: ClientLock | None = None
+        self._rehearsal, self.parameters = self.parameters.dry_run, replace(self.parameters, dry_run=False)
 
-    def reached(self) -> Connection | None:
-        """Connect to the driver, on a server under this rig's own name."""
-        parameters = self._parameters
-        connections: list[Connection] = []
+    @property
+    def boards(self) -> tuple[BoardFacts, ...]:
+        """Return the facts of each board that responds."""
+        return tuple(self.facts_by_serial.values())
 
-        def reach() -> str:
+    def reach(self, stack: ExitStack) -> Connection | None:
+        """Connect to the driver, on a server under this rig's own name, until the stack is left."""
+        parameters = self.parameters
+        reached: list[Connection] = []
+
+        def connect() -> str:
+            """Take the client name, connect, and clear leftover tasks; return the connection in words."""
             if parameters.transport == "grpc":
-                self._lock = ClientLock(parameters.grpc_address, client_name(parameters))
+                stack.callback(ClientLock(parameters.grpc_address, client_name(parameters)).release)
             connection = Connection(parameters)
-            connections.append(connection)
+            stack.callback(connection.close)
             connection.clear_leftovers(ROLES)
-            self._driver_version = connection.driver_version()
-            return f"NI-DAQmx {self._driver_version} by {parameters.transport}"
+            self.driver_version = connection.driver_version()
+            reached.append(connection)
+            return f"NI-DAQmx {self.driver_version} by {parameters.transport}"
 
-        if self._checked("driver", "reachable", reach):
-            return connections[0]
-        for connection in connections:
-            connection.close()
-        return None
+        self._check("driver", "reachable", connect)
+        return reached[0] if reached else None
 
-    def at_boards(self, connection: Connection) -> None:
+    def list_boards(self, connection: Connection, ours: Collection[str] | None = None) -> Collection[str]:
+        """Survey each board that the driver lists, and return their serial numbers.
+
+        Parameters
+        ----------
+        ours
+            Serial numbers of the configured boards: a fault of any other board is a warning. None: no board
+            is configured yet.
+        """
+        listed: dict[str, Device] = {}
+        self._check("driver", "lists its boards", lambda: listed.update(installed(connection)))
+        for serial, device in listed.items():
+            failed: State = "fail" if ours is None or serial in ours else "warn"
+            work = partial(self._describe, serial, device, ours=serial in (ours or ()))
+            self._check(f"board {serial}", "answers", work, failed=failed)
+        return listed
+
+    def check_boards(self, connection: Connection) -> None:
         """Survey all boards, the configured ones in detail."""
-        ours = {same_serial(wiring.board_serial) for wiring in self._parameters.transducers.values()}
-        ours |= {same_serial(wiring.coil_serial) for wiring in self._parameters.transducers.values()}
-        boards = self.at_installed(connection, ours)
-        for serial in sorted(ours - set(boards)):
+        ours = set(map(normalized_serial, serials_of(self.parameters)))
+        listed = self.list_boards(connection, ours)
+        for serial in sorted(ours - set(listed)):
             self._add(
                 f"board {serial}",
                 "present",
                 "fail",
-                f"no board with this serial number; there are: {', '.join(boards) or 'none'}",
+                f"no board with this serial number; there are: {', '.join(listed) or 'none'}",
                 "check its power, seating and cable, and board_serial in [rig.daqmx.transducers]",
             )
-        for facts in self._facts:
+        for facts in self.boards:
+            if facts.ours and facts.simulated:
+                self._add(
+                    f"board {facts.serial}",
+                    "real",
+                    "warn" if self._rehearsal else "fail",
+                    "a device simulated by NI's driver: its records are made up",
+                    "use it for a rehearsal only: dry_run = true in [rig.daqmx]",
+                )
             if facts.ours:
-                self._assess_board(facts)
+                self._add(f"board {facts.serial}", "calibrated", *_rate_calibration(facts))
 
-    def at_installed(self, connection: Connection, ours: Collection[str] = ()) -> dict[str, Any]:
-        """Survey each board that the driver knows, by serial number."""
-        boards: dict[str, Any] = {}
-        self._checked("driver", "lists its boards", lambda: boards.update(installed(connection)))
-        for serial, device in boards.items():
-            subject = f"board {serial}"
-            self._checked(subject, "answers", partial(self._describe, serial, device, serial in ours))
-        return boards
-
-    def _describe(self, serial: str, device: Any, ours: bool) -> str:
+    def _describe(self, serial: str, device: Device, *, ours: bool) -> str:
+        """Read the facts of a board; return them in words."""
         board = describe(serial, device)
         with vendor_call(f"reading what {board.label} can do"):
             ends_v = [float(value) for value in device.ai_voltage_rngs]
             facts = BoardFacts(
-                serial=serial,
-                name=board.name,
-                product=board.product,
-                simulated=board.simulated,
+                **{item.name: getattr(board, item.name) for item in fields(board)},
                 ours=ours,
                 max_rate_hz=float(device.ai_max_single_chan_rate),
                 ranges_v=tuple(zip(ends_v[::2], ends_v[1::2], strict=False)),
@@ -184,173 +182,171 @@ class _BoardSurvey:
                 analog_trigger=bool(device.anlg_trig_supported),
                 terminals=tuple(device.terminals),
                 counters=tuple(channel.name for channel in device.co_physical_chans),
-                calibrates_itself=board.calibrates_itself,
-                calibration_date=board.calibration_date,
-                calibration_temperature_c=board.calibration_temperature_c,
                 temperature_c=metadata(
                     lambda: float(device.cal_dev_temp), math.nan, f"how warm {board.label} is"
                 ),
             )
-        self._boards[serial] = board
-        self._facts.append(facts)
+        self.facts_by_serial[serial] = facts
         return f"{board.product} as {board.name}, up to {facts.max_rate_hz:.10g} Hz a channel"
 
-    def _assess_board(self, facts: BoardFacts) -> None:
-        subject = f"board {facts.serial}"
-        if facts.simulated:
-            refused = facts.ours and not self._rehearsal
-            self._add(
-                subject,
-                "real",
-                "fail" if refused else "warn",
-                "a device simulated by NI's driver: its records are made up",
-                "use it for a rehearsal only: dry_run = true in [rig.daqmx]",
-            )
-        if not facts.calibrates_itself:
-            self._add(
-                subject, "calibrated", "warn", "cannot calibrate itself", "follow its external interval"
-            )
-            return
-        if not facts.calibration_date:
-            self._add(
-                subject,
-                "calibrated",
-                "warn",
-                "the driver does not say when it last calibrated itself",
-                "self-calibrate it in NI MAX; a device that NI's driver simulates has no such date",
-            )
-            return
-        away_k = abs(facts.temperature_c - facts.calibration_temperature_c)
-        if math.isnan(away_k):
-            self._add(
-                subject,
-                "calibrated",
-                "ok",
-                f"on {facts.calibration_date}; the driver does not say how warm it was or is",
-            )
-            return
-        self._add(
-            subject,
-            "calibrated",
-            "ok" if away_k <= WARMED_K else "warn",
-            f"on {facts.calibration_date} at {facts.calibration_temperature_c:.1f} C; it is at "
-            f"{facts.temperature_c:.1f} C now (at most {WARMED_K:g} K apart)",
-            "" if away_k <= WARMED_K else "warm the chassis up for half an hour, then self-calibrate",
-        )
-
-    def at_transducer(self, connection: Connection, position: str) -> None:
+    def check_transducer(self, connection: Connection, position: str) -> None:
         """Survey input, trigger, coil and noise of one transducer."""
-        parameters, wiring = self._parameters, self._parameters.transducers[position]
-        board = self._boards.get(same_serial(wiring.board_serial))
-        coil_board = self._boards.get(same_serial(wiring.coil_serial))
+        parameters, wiring = self.parameters, self.parameters.transducers[position]
+        board = self.facts_by_serial.get(normalized_serial(wiring.board_serial))
+        coil_board = self.facts_by_serial.get(normalized_serial(wiring.coil_serial))
         if board is None or coil_board is None:
-            return  # told with the board
+            return  # its board has a failed finding
         subject = f"transducer {position}"
-        if wiring.digitizes:
-            self._look_at_trigger(connection, position, board, coil_board)
-        if wiring.strikes:
-            self._look_at_terminal(subject, position, coil_board)
+
+        def commit(record: Literal["shot", "noise"]) -> Acquisition:
+            """Commit the transducer's acquisition."""
+            return commit_acquisition(connection, parameters, position, board, coil_board, record=record)
+
+        def check_limits() -> str:
+            """Check that the board can take the record."""
+            check_board(board, wiring, parameters)
+            return f"as asked: {_input_text(parameters, wiring)}"
+
+        def check_trigger() -> str:
+            """Commit the triggered acquisition and release it."""
+            return f"{_released(commit('shot'))}: {trigger_text(parameters, wiring)}"
+
+        def check_counter() -> str:
+            """Commit the coil's counter and release it."""
             # Committed, the output is connected and low; the counter is not started.
-            self._checked(
-                subject,
-                "coil's counter",
-                lambda: _released(commit_coil(connection, parameters, position, coil_board)),
-            )
+            coil = commit_coil(connection, parameters, position, coil_board)
+            return f"{_released(coil)}: {_counter_text(parameters, wiring)}"
+
         if wiring.digitizes:
-            self._look_at_noise(connection, position, board, coil_board)
+            self._check(subject, "board can do it", check_limits)
+            self._check(subject, "trigger", check_trigger)
+        if wiring.strikes:
+            self._check_terminal(subject, wiring, coil_board)
+            self._check(subject, "coil's counter", check_counter)
+        if wiring.digitizes:
+            self._check(subject, "input read", lambda: self._measure_noise(position, commit("noise")))
+            self._rate_noise(position, board)
 
-    def _look_at_trigger(
-        self, connection: Connection, position: str, board: Board, coil_board: Board
-    ) -> None:
-        parameters, subject = self._parameters, f"transducer {position}"
-        wiring = parameters.transducers[position]
-        self._checked(subject, "board can do it", lambda: check_board(board, wiring, parameters))
-        self._checked(
-            subject,
-            "trigger",
-            lambda: _released(
-                commit_acquisition(connection, parameters, position, board, coil_board, record="shot")
-            ),
-        )
-
-    def _look_at_noise(self, connection: Connection, position: str, board: Board, coil_board: Board) -> None:
-        parameters, subject = self._parameters, f"transducer {position}"
-        self._checked(
-            subject, "input read", lambda: self._measure_noise(connection, position, board, coil_board)
-        )
-        noise_v = self._noise_rms_v.get(position)
-        if noise_v is not None and board.simulated:
-            self._add(subject, "noise", "warn", f"{noise_v:.3g} V rms, made up by NI's driver")
-        elif noise_v is not None:
-            level_v = abs(parameters.trigger_level_v)
-            quiet = noise_v <= NOISE_TO_LEVEL * level_v
-            self._add(
-                subject,
-                "noise",
-                "ok" if quiet else "warn",
-                f"{noise_v:.3g} V rms; the trigger level is {level_v:g} V",
-                "" if quiet else "check cable and screen, or raise trigger_level_v to five times the noise",
-            )
-
-    def _look_at_terminal(self, subject: str, position: str, board: Board) -> None:
-        wiring = self._parameters.transducers[position]
-        wanted = f"/{board.name}/{wiring.output_terminal}"
-        facts = next(facts for facts in self._facts if facts.serial == board.serial)
-        known = wanted in facts.terminals
+    def _check_terminal(self, subject: str, wiring: TransducerWiring, board: BoardFacts) -> None:
+        """Check that the coil's terminal exists on its board."""
+        terminal = f"/{board.name}/{wiring.output_terminal}"
+        known = terminal in board.terminals
         self._add(
             subject,
             "coil's terminal",
             "ok" if known else "fail",
-            f"{wanted} {'exists' if known else 'does not exist'} on {board.label}",
-            "" if known else "correct output_terminal in [rig.daqmx.transducers]",
+            f"{terminal} {'exists' if known else 'does not exist'} on {board.label}",
+            "correct output_terminal in [rig.daqmx.transducers]",
         )
 
-    def _measure_noise(self, connection: Connection, position: str, board: Board, coil_board: Board) -> str:
-        acquisition = commit_acquisition(
-            connection, self._parameters, position, board, coil_board, record="noise"
-        )
+    def _measure_noise(self, position: str, acquisition: Acquisition) -> str:
+        """Record once without a trigger and store the noise; return the record in words."""
         try:
             acquisition.start()
             waveform = acquisition.read(READ_TIMEOUT_S)
         finally:
             acquisition.close()
-        self._noise_rms_v[position] = float(np.std(waveform.volts()))
+        self.noise_rms_v[position] = float(np.std(waveform.volts()))
         return f"{waveform.counts.size} samples at {waveform.sample_rate_hz:.10g} Hz"
 
-    def end(self) -> None:
-        """Release the client name."""
-        if self._lock is not None:
-            self._lock.release()
+    def _rate_noise(self, position: str, board: Board) -> None:
+        """Compare the noise with the trigger level, if it was measured."""
+        noise_v = self.noise_rms_v.get(position)
+        if noise_v is None:
+            return
+        level_v = self.parameters.trigger_level_v
+        state: State = "ok" if noise_v <= NOISE_TO_LEVEL * abs(level_v) else "warn"
+        detail = f"{noise_v:.3g} V rms; the trigger level is {abs(level_v):g} V"
+        remedy = "check cable and screen, or raise trigger_level_v to five times the noise"
+        if board.simulated:
+            state, detail, remedy = "warn", f"{noise_v:.3g} V rms, made up by NI's driver", LOOK_UP
+        values: dict[str, Value] = {"noise_rms_v": noise_v, "trigger_level_v": level_v}
+        self._add(f"transducer {position}", "noise", state, detail, remedy, values)
 
-    def result(self) -> Survey:
-        """Return the result."""
-        return Survey(
-            package_version=version("nidaqmx"),
-            driver_version=self._driver_version,
-            boards=tuple(self._facts),
-            noise_rms_v=self._noise_rms_v,
-            findings=tuple(self._findings),
-        )
-
-    def _checked(self, subject: str, check: str, work: Callable[[], object]) -> bool:
+    def _check(
+        self, subject: str, check: str, work: Callable[[], str | None], *, failed: State = "fail"
+    ) -> None:
         """Run a check; an error becomes a finding, its message names the remedy."""
         try:
             detail = work()
         except InstrumentError as error:
             log.info("%s, %s: %s", subject, check, str(error))
-            problem, _, remedy = str(error).rpartition("; ")
-            self._add(subject, check, "fail", problem or str(error), remedy if problem else "")
-            return False
-        self._add(subject, check, "ok", detail if isinstance(detail, str) else "as asked")
-        return True
+            self._add_finding(replace(finding_of_error(subject, check, error, LOOK_UP), state=failed))
+        else:
+            self._add(subject, check, "ok", detail or "as asked")
 
-    def _add(self, subject: str, check: str, state: State, detail: str, remedy: str = "") -> None:
-        self._findings.append(
-            Finding(subject=subject, check=check, state=state, detail=detail, remedy=remedy)
+    def _add(
+        self,
+        subject: str,
+        check: str,
+        state: State,
+        detail: str,
+        remedy: str = "",
+        values: Mapping[str, Value] | None = None,
+    ) -> None:
+        """Add a finding; only a finding that is not ok has a remedy."""
+        self._add_finding(
+            Finding(
+                subject=subject,
+                check=check,
+                state=state,
+                detail=detail,
+                remedy="" if state == "ok" else remedy,
+                values=values or {},
+            )
         )
+
+    def _add_finding(self, finding: Finding) -> None:
+        """Add a finding, with the facts of its board for programs."""
+        facts = self.facts_by_serial.get(finding.subject.removeprefix("board "))
+        if facts is not None:
+            finding = replace(finding, values={name: getattr(facts, name) for name in BOARD_VALUES})
+        self.findings.append(finding)
+
+
+def _rate_calibration(facts: BoardFacts) -> tuple[State, str, str]:
+    """Return state, detail and remedy of a board's self-calibration, by the board's temperature since."""
+    if not facts.calibrates_itself:
+        return "warn", "cannot calibrate itself", "follow its external interval"
+    date = facts.calibration_date
+    if not date:
+        return (
+            "warn",
+            "the driver does not say when it last calibrated itself",
+            "self-calibrate it in NI MAX; a device that NI's driver simulates has no such date",
+        )
+    away_k = abs(facts.temperature_c - facts.calibration_temperature_c)
+    if math.isnan(away_k):
+        return "ok", f"on {date}; the driver does not say how warm it was or is", ""
+    detail = (
+        f"on {date} at {facts.calibration_temperature_c:.1f} C; it is at {facts.temperature_c:.1f} C now (at "
+        f"most {WARMED_K:g} K apart)"
+    )
+    state: State = "ok" if away_k <= WARMED_K else "warn"
+    return state, detail, "warm the chassis up for half an hour, then self-calibrate"
+
+
+def _input_text(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
+    """Return in words the input, range and rate that the board accepted."""
+    return f"{wiring.input}, +-{wiring.range_v:g} V, {parameters.sample_rate_hz / 1e6:g} MS/s"
+
+
+def trigger_text(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
+    """Return in words the trigger that the board accepted."""
+    held = "" if parameters.holdoff_s is None else f", held off for {parameters.holdoff_s * 1e3:g} ms"
+    return (
+        f"{parameters.trigger_level_v:g} V {parameters.trigger_slope} at {wiring.input}, "
+        f"{parameters.pretrigger_samples} of {parameters.record_samples} samples before it{held}"
+    )
+
+
+def _counter_text(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
+    """Return in words the pulse that the board accepted."""
+    return f"{wiring.counter} to {wiring.output_terminal}, {parameters.pulse_s:g} s, low when idle"
 
 
 def _released(committed: Acquisition | Coil) -> str:
+    """Release a committed task, and return what that proved; raise if the driver does not confirm it."""
     if not committed.close():
         raise ConnectionLostError(
             "committed, but the driver did not take it back; end what else uses the board, or reset it"

@@ -130,6 +130,7 @@ def average(
 
 
 def _sum_bits(n_records: int, width_bits: int) -> int:
+    """Return the bits that a sum of so many counts may need."""
     return width_bits + math.ceil(math.log2(n_records))
 
 

@@ -90,7 +90,7 @@ class BoardConnection:
             with vendor_calls(self._niscope, f"recording {position!r} on {board.resource!r}") as noted:
                 fetched = fetch(self._session, setup, wiring, timeout_s)
             self._failures = 0
-            return board, setup, fetched, noted.text()
+            return board, setup, fetched, "; ".join(noted)
 
     def self_calibrate(self) -> Board:
         """Run the board's self-calibration; it is configured again before the next record."""
@@ -129,6 +129,7 @@ class BoardConnection:
             raise
 
     def _prepare(self, position: str, wiring: ProbeWiring) -> tuple[Board, Setup]:
+        """Open the board if necessary, and configure it unless it is configured for this probe."""
         board = self._open()
         if self._position != position or self._setup is None:
             self._position, self._setup = None, None
@@ -161,6 +162,7 @@ class BoardConnection:
         raise kind("; ".join(map(str, problems))) from problems[0]
 
     def _open_named(self, name: str) -> Board:
+        """Open the board of a name, verify its serial number, and reset it if recovery requires that."""
         with vendor_calls(self._niscope, f"opening {name!r}"):
             self._session = open_session(self._niscope, name)
         try:

@@ -21,6 +21,7 @@ SAFE_PART = 0.9
 
 @contextmanager
 def _open(parameters: NiscopeParameters, opening: Opening) -> Iterator[Opened]:
+    """Open the boards of all probes."""
     from hardware_drivers.niscope.pulse_echo import open_niscope
 
     with open_niscope(parameters) as unit:
@@ -53,6 +54,7 @@ def check_probes(parameters: NiscopeParameters, opening: Opening) -> Iterator[Fi
 
 
 def _record(subject: str, echo: Echo) -> Iterator[Finding]:
+    """Yield findings on one record: its amplitude, and the self-calibration."""
     waveform, settings = echo.waveform, echo.settings
     peak_v = float(np.abs(waveform.volts() - echo.offset_v).max())
     part = peak_v / waveform.calibration.range_v
@@ -76,6 +78,7 @@ def _record(subject: str, echo: Echo) -> Iterator[Finding]:
 
 
 def _require(parameters: NiscopeParameters, serves: Mapping[Role, tuple[str, ...]]) -> None:
+    """Check that every served position has a probe, and every probe a position."""
     wanted = set(serves.get("pulse_echo", ()))
     if missing := sorted(wanted - set(parameters.probes)):
         raise ValueError(f"probes has no {missing[0]!r}, which it serves; wire it in probes.{missing[0]}")

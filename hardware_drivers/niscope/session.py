@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from types import ModuleType
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,10 @@ from hardware_drivers.errors import ConfigurationError, ConnectionLostError
 from hardware_drivers.niscope.averaging import Codes, check_sum_fits, codes_of
 from hardware_drivers.niscope.parameters import NiscopeParameters, ProbeWiring
 from hardware_drivers.niscope.vendor_errors import metadata
+
+if TYPE_CHECKING:
+    from niscope import Session
+    from niscope.waveform_info import WaveformInfo
 
 FULL_BANDWIDTH_HZ = -1.0
 """NI-SCOPE's value for an input without noise filter."""
@@ -58,7 +62,7 @@ def vendor_package() -> ModuleType:
     return niscope  # type: ignore[no-any-return]
 
 
-def open_session(niscope: ModuleType, resource: str) -> Any:
+def open_session(niscope: ModuleType, resource: str) -> Session:
     """Open a board without resetting it; nothing stays open if that fails half-way."""
     session = niscope.Session.__new__(niscope.Session)
     try:
@@ -77,7 +81,7 @@ def open_session(niscope: ModuleType, resource: str) -> Any:
     return session
 
 
-def close_session(niscope: ModuleType, session: Any) -> None:
+def close_session(niscope: ModuleType, session: Session) -> None:
     """Close a board, with a second try: no later call can close it."""
     handle = session._interpreter.get_session_handle()
     try:
@@ -99,7 +103,7 @@ class Board:
     channels: tuple[str, ...]
 
 
-def describe(session: Any, resource: str) -> Board:
+def describe(session: Session, resource: str) -> Board:
     """Read a board's description."""
     return Board(
         resource=resource,
@@ -126,7 +130,7 @@ class Setup:
 
 
 def configure(
-    niscope: ModuleType, session: Any, board: Board, parameters: NiscopeParameters, wiring: ProbeWiring
+    niscope: ModuleType, session: Session, board: Board, parameters: NiscopeParameters, wiring: ProbeWiring
 ) -> Setup:
     """Configure the board for one probe and read back its settings.
 
@@ -159,7 +163,7 @@ def configure(
     _configure_trigger(niscope, session, wiring)
     session.commit()
     setup = _read_back(niscope, session, channel, board)
-    _refuse_coerced(parameters, wiring, setup, channel, board)
+    _reject_coerced(parameters, wiring, setup, channel, board)
     if session.trigger_source != trigger_terminal(wiring):
         raise ConnectionLostError(
             f"the board at {board.resource!r} waits for a trigger at {session.trigger_source!r}, not at "
@@ -174,7 +178,8 @@ def trigger_terminal(wiring: ProbeWiring) -> str:
     return TRIGGER_TERMINALS.get(wiring.trigger_source, wiring.channel)
 
 
-def _configure_trigger(niscope: ModuleType, session: Any, wiring: ProbeWiring) -> None:
+def _configure_trigger(niscope: ModuleType, session: Session, wiring: ProbeWiring) -> None:
+    """Configure the trigger by the pulser's sync, delayed to the firing pulse."""
     slope = getattr(niscope.TriggerSlope, "POSITIVE" if wiring.trigger_slope == "rising" else "NEGATIVE")
     terminal = trigger_terminal(wiring)
     if wiring.trigger_source.startswith("pfi"):
@@ -189,7 +194,8 @@ def _configure_trigger(niscope: ModuleType, session: Any, wiring: ProbeWiring) -
     )
 
 
-def _read_back(niscope: ModuleType, session: Any, channel: Any, board: Board) -> Setup:
+def _read_back(niscope: ModuleType, session: Session, channel: Session, board: Board) -> Setup:
+    """Read the settings that the board committed, and its last self-calibration."""
     last = metadata(
         niscope,
         # A board that never calibrated itself says 0-0-0, which is no date.
@@ -215,9 +221,10 @@ def _read_back(niscope: ModuleType, session: Any, channel: Any, board: Board) ->
     )
 
 
-def _refuse_coerced(
-    parameters: NiscopeParameters, wiring: ProbeWiring, setup: Setup, channel: Any, board: Board
+def _reject_coerced(
+    parameters: NiscopeParameters, wiring: ProbeWiring, setup: Setup, channel: Session, board: Board
 ) -> None:
+    """Reject a setting that the board changed, or a resolution that no ADC has."""
     pairs: Mapping[str, tuple[float, float]] = {
         "sample_rate_hz": (parameters.sample_rate_hz, setup.sample_rate_hz),
         "record_samples": (parameters.record_samples, setup.record_samples),
@@ -260,7 +267,7 @@ class Fetched:
     first_sample_s: NDArray[np.float64]
 
 
-def fetch(session: Any, setup: Setup, wiring: ProbeWiring, timeout_s: float) -> Fetched:
+def fetch(session: Session, setup: Setup, wiring: ProbeWiring, timeout_s: float) -> Fetched:
     """Acquire all records of one averaged record; the board is idle again on return.
 
     Raises
@@ -304,7 +311,7 @@ def fetch(session: Any, setup: Setup, wiring: ProbeWiring, timeout_s: float) -> 
 
 
 def _check_time(
-    waveforms: list[Any], first_sample_s: NDArray[np.float64], setup: Setup, wiring: ProbeWiring
+    waveforms: list[WaveformInfo], first_sample_s: NDArray[np.float64], setup: Setup, wiring: ProbeWiring
 ) -> None:
     """Check by the driver's times that time zero is the firing pulse, one firing per record."""
     step_s = 1.0 / setup.sample_rate_hz

@@ -10,10 +10,11 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.instruments import Acquired, Echo, require_timeout
+from hardware_drivers.kinds import Opened
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE
 from hardware_drivers.playback.source import ShotSource
@@ -24,7 +25,7 @@ SWITCHINGS_KEPT = 1_000
 
 
 class Recording(StruckDigitizer):
-    """Digitizer, and the source that striker and pulse-echo unit share with it."""
+    """Digitizer and pulse-echo unit that play back the records of a source."""
 
     def __init__(self, source: ShotSource) -> None:
         super().__init__()
@@ -34,12 +35,8 @@ class Recording(StruckDigitizer):
         """Reject a position that was not recorded by this method."""
         known = self._source.positions
         if known.get(key.position) != method:
-            names = (
-                ", ".join(
-                    sorted(name for name, recorded_method in known.items() if recorded_method == method)
-                )
-                or "none"
-            )
+            recorded = sorted(name for name in known if known[name] == method)
+            names = ", ".join(recorded) or "none"
             raise ConfigurationError(
                 f"the recording has no {method} position {key.position!r}; it has: {names}; take the "
                 "position out of the configuration, or play back another recording"
@@ -68,6 +65,18 @@ class Recording(StruckDigitizer):
             )
         return acquired
 
+    def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
+        """Return the recorded echo."""
+        require_timeout(timeout_s)
+        self.require(key, PULSE_ECHO)
+        echo = self.find(key)
+        if not isinstance(echo, Echo):
+            raise ConfigurationError(
+                f"the recording has a {type(echo).__name__} at the pulse_echo position {key.position!r}; "
+                "correct the method of this position"
+            )
+        return echo
+
 
 class RecordedStriker:
     """Striker without a coil: it selects the next shot, and records what a coil would have done."""
@@ -91,35 +100,7 @@ class RecordedStriker:
         """Do nothing: no coil is ever energised after a strike."""
 
 
-class RecordedPulseEchoUnit:
-    """Pulse-echo unit that plays back records."""
-
-    def __init__(self, recording: Recording) -> None:
-        self._recording = recording
-
-    def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Return the recorded echo."""
-        require_timeout(timeout_s)
-        self._recording.require(key, PULSE_ECHO)
-        echo = self._recording.find(key)
-        if not isinstance(echo, Echo):
-            raise ConfigurationError(
-                f"the recording has a {type(echo).__name__} at the pulse_echo position {key.position!r}; "
-                "correct the method of this position"
-            )
-        return echo
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class RecordedInstruments:
-    """Instruments of one recording, from which a rig is composed together with a clock."""
-
-    striker: RecordedStriker
-    digitizer: Recording
-    pulse_echo: RecordedPulseEchoUnit
-
-
-def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = None) -> RecordedInstruments:
+def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = None) -> Opened:
     """Build the instruments that play back one recording.
 
     Parameters
@@ -135,8 +116,4 @@ def build_instruments(source: ShotSource, *, wanted: Mapping[str, str] | None = 
     recording = Recording(source)
     for position, method in (wanted or {}).items():
         recording.require(ShotKey(position=position, set_index=0, shot_index=0), method)
-    return RecordedInstruments(
-        striker=RecordedStriker(recording),
-        digitizer=recording,
-        pulse_echo=RecordedPulseEchoUnit(recording),
-    )
+    return Opened(striker=RecordedStriker(recording), digitizer=recording, pulse_echo=recording)

@@ -14,6 +14,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.polynomial.polynomial import polyadd, polysub
 from numpy.typing import NDArray
 
 Polynomial = NDArray[np.float64]
@@ -56,6 +57,7 @@ def raw_polynomial(properties: Mapping[str, Any]) -> Polynomial | None:
 
 
 def _number_of_scales(properties: Mapping[str, Any]) -> int:
+    """Return the number of scales, from its property or the highest numbered scale."""
     if "NI_Number_Of_Scales" in properties:
         return int(properties["NI_Number_Of_Scales"])
     return max(
@@ -77,6 +79,7 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
         return identity
 
     def input_of(name: str) -> Polynomial:
+        """Return the polynomial of the input of this scale."""
         return _resolve(int(properties.get(f"{prefix}{name}_Input_Source", RAW)), properties, limit=source)
 
     if kind == "Linear":
@@ -94,7 +97,8 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
     if kind in ("Add", "Subtract"):
         left, right = input_of(f"{kind}_Left_Operand"), input_of(f"{kind}_Right_Operand")
         # NI subtracts the left operand from the right one.
-        return _sum(left, right) if kind == "Add" else _sum(right, -left)
+        total = polyadd(left, right) if kind == "Add" else polysub(right, left)
+        return np.asarray(total, dtype=np.float64)
     raise ScalingError(f"scale {source} is of type {kind!r}, which is no polynomial")
 
 
@@ -111,14 +115,8 @@ def _composed(outer: Polynomial, inner: Polynomial) -> Polynomial:
     return result[: (outer.size - 1) * (inner.size - 1) + 1]
 
 
-def _sum(one: Polynomial, other: Polynomial) -> Polynomial:
-    result = np.zeros(max(one.size, other.size))
-    result[: one.size] += one
-    result[: other.size] += other
-    return result
-
-
 def _number(properties: Mapping[str, Any], name: str) -> float:
+    """Return a property as a number; a missing or other one is a ScalingError."""
     try:
         return float(properties[name])
     except KeyError as error:

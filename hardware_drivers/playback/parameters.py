@@ -129,6 +129,7 @@ class PlaybackParameters:
 
 
 def _named_groups(name: str, pattern: str) -> set[str]:
+    """Return the named groups of a pattern; an unknown one is a ValueError."""
     try:
         parts = set(re.compile(pattern).groupindex)
     except re.error as error:

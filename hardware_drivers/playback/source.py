@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
 from collections.abc import Callable, Iterable, Mapping
+from functools import lru_cache
 from typing import Protocol, runtime_checkable
 
 from hardware_drivers.instruments import Acquired, Echo
@@ -22,7 +22,6 @@ class ShotSource(Protocol):
     @property
     def positions(self) -> Mapping[str, str]:
         """Return the recorded positions and their method: ``solitary_wave`` or ``pulse_echo``."""
-        ...
 
     def find(self, key: ShotKey) -> Acquired | None:
         """Return the record of a shot (an `Echo` for pulse-echo), None if it was not recorded.
@@ -34,11 +33,9 @@ class ShotSource(Protocol):
         ConfigurationError
             The recording as a whole cannot be read.
         """
-        ...
 
     def tried(self, key: ShotKey) -> bool:
         """Return whether the recording has a shot, as a record or as missed."""
-        ...
 
 
 def acquired_of(record: Record) -> Acquired:
@@ -64,23 +61,18 @@ class ShotsBySet:
         Recorded positions and their method.
     read
         Records of a set; empty for a set that was not recorded. What it raises reaches the caller.
-    sets_kept
-        Sets held in memory.
     """
 
-    def __init__(
-        self,
-        positions: Mapping[str, str],
-        read: Callable[[SetKey], Iterable[Record]],
-        *,
-        sets_kept: int = SETS_KEPT,
-    ) -> None:
-        if sets_kept < 1:
-            raise ValueError(f"sets_kept is {sets_kept}; it must be at least 1")
+    def __init__(self, positions: Mapping[str, str], read: Callable[[SetKey], Iterable[Record]]) -> None:
         self._positions = dict(positions)
-        self._read = read
-        self._sets_kept = sets_kept
-        self._sets: OrderedDict[SetKey, dict[ShotKey, Record]] = OrderedDict()
+
+        @lru_cache(maxsize=SETS_KEPT)
+        def records_of_set(set_key: SetKey) -> Mapping[ShotKey, Record]:
+            """Read the records of a set, by key."""
+            return {record.key: record for record in read(set_key)}
+
+        self.records_of_set = records_of_set
+        """Returns every record of a set, from memory if it was requested lately."""
 
     @property
     def positions(self) -> Mapping[str, str]:
@@ -95,12 +87,3 @@ class ShotsBySet:
     def tried(self, key: ShotKey) -> bool:
         """Return whether the shot was recorded."""
         return key in self.records_of_set(key.set_key)
-
-    def records_of_set(self, set_key: SetKey) -> Mapping[ShotKey, Record]:
-        """Return every record of a set, from memory if it was requested lately."""
-        if set_key not in self._sets:
-            self._sets[set_key] = {record.key: record for record in self._read(set_key)}
-            while len(self._sets) > self._sets_kept:
-                self._sets.popitem(last=False)
-        self._sets.move_to_end(set_key)
-        return self._sets[set_key]

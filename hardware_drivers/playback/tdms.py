@@ -14,7 +14,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 import numpy as np
 
@@ -63,10 +62,15 @@ class TdmsShots:
     """Opened recording; `close` it, or use it as a context manager.
 
     Made by `open_tdms`. One file is kept open at a time.
+
+    Attributes
+    ----------
+    places
+        Location of each recorded shot.
     """
 
     def __init__(self, places: Mapping[ShotKey, _RecordLocation], mapping: TdmsMapping) -> None:
-        self._places = places
+        self.places = places
         self._mapping = mapping
         self._positions = {key.position: _method(key.position, mapping) for key in places}
         self._moments = sorted(place.utc_ns for place in places.values() if place.utc_ns is not None)
@@ -77,18 +81,6 @@ class TdmsShots:
         """Return the recorded positions and their method."""
         return self._positions
 
-    @property
-    def keys(self) -> list[ShotKey]:
-        """Return every recorded shot, sorted by set, position, shot and attempt."""
-        return sorted(
-            self._places, key=lambda key: (key.set_index, key.position, key.shot_index, key.attempt)
-        )
-
-    def utc_ns(self, key: ShotKey) -> int | None:
-        """Return the time of a shot; None if its file has none, or there is no such shot."""
-        place = self._places.get(key)
-        return None if place is None else place.utc_ns
-
     def next_moment(self, after_utc_ns: int) -> int | None:
         """Return the first recorded time after a time, None after the last one."""
         index = bisect_right(self._moments, after_utc_ns)
@@ -96,7 +88,7 @@ class TdmsShots:
 
     def tried(self, key: ShotKey) -> bool:
         """Return whether the shot was recorded."""
-        return key in self._places
+        return key in self.places
 
     def find(self, key: ShotKey) -> Acquired | None:
         """Return the record of a shot, None if it was not recorded.
@@ -106,7 +98,7 @@ class TdmsShots:
         ConfigurationError
             The file cannot be read any more, or a value is beyond the range.
         """
-        place = self._places.get(key)
+        place = self.places.get(key)
         if place is None:
             return None
         values = self._reader.read(
@@ -169,7 +161,7 @@ def open_tdms(
     if by_name and source.is_file() and re.fullmatch(mapping.file_pattern, source.name) is None:
         mapping = replace(mapping, file_pattern=".*")  # one file alone is set 0
     places: dict[ShotKey, _RecordLocation] = {}
-    shared: dict[tuple[Any, ...], Conversion] = {}
+    shared: dict[tuple[object, ...], Conversion] = {}
     others: list[str] = []
     for path, name in _files(source, mapping):
         for key, place in _records_of_file(path, name, mapping, shared, others, by_name):
@@ -205,7 +197,7 @@ def _records_of_file(
     path: Path,
     name: str,
     mapping: TdmsMapping,
-    shared: dict[tuple[Any, ...], Conversion],
+    shared: dict[tuple[object, ...], Conversion],
     others: list[str],
     by_name: Sequence[str],
 ) -> Iterator[tuple[ShotKey, _RecordLocation]]:
@@ -218,6 +210,7 @@ def _records_of_file(
     unmatched: list[tuple[str, str]] = []
 
     def wanted(group: str, channel: str) -> bool:
+        """Check whether the names of group and channel match; collect the shots that they name."""
         from_group = re.fullmatch(mapping.group_pattern, group)
         from_channel = re.fullmatch(mapping.channel_pattern, channel)
         if from_group is None or from_channel is None:
@@ -249,7 +242,7 @@ def _first_location(
     name: str,
     position: str,
     mapping: TdmsMapping,
-    shared: dict[tuple[Any, ...], Conversion],
+    shared: dict[tuple[object, ...], Conversion],
 ) -> _RecordLocation:
     """Return the first record of a channel."""
     n_samples = samples_of_record(channel, mapping)
@@ -291,7 +284,7 @@ def _appended_records(
         )
 
 
-def _shared(conversion: Conversion, known: dict[tuple[Any, ...], Conversion]) -> Conversion:
+def _shared(conversion: Conversion, known: dict[tuple[object, ...], Conversion]) -> Conversion:
     """Return one object for all channels with equal conversion: a recording has thousands of them."""
     calibration = conversion.calibration
     polynomial = None if conversion.polynomial is None else conversion.polynomial.tobytes()
@@ -307,11 +300,12 @@ def _shared(conversion: Conversion, known: dict[tuple[Any, ...], Conversion]) ->
 def _settings(
     channel: Channel, name: str, mapping: TdmsMapping, conversion: Conversion
 ) -> Mapping[str, float | str]:
+    """Return the settings that are stored with each shot of a channel."""
     settings: dict[str, float | str] = {"tdms_channel": name}
     properties = channel.properties
     for property_name, setting in mapping.settings_properties.items():
         if property_name not in properties:
-            raise channel.refuse(
+            raise channel.error(
                 f"the property {property_name!r} is missing", "take it out of settings_properties"
             )
         value = properties[property_name]
@@ -323,4 +317,5 @@ def _settings(
 
 
 def _method(position: str, mapping: TdmsMapping) -> str:
+    """Return the measuring method of a position."""
     return PULSE_ECHO if position in mapping.pulse_echo_positions else SOLITARY_WAVE

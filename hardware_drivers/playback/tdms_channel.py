@@ -51,7 +51,7 @@ class Channel:
     own_properties: Mapping[str, Any]
     group_properties: Mapping[str, Any]
     file_properties: Mapping[str, Any]
-    dtype: np.dtype[Any]
+    dtype: np.dtype[np.generic]
     n_samples: int
 
     @property
@@ -64,7 +64,7 @@ class Channel:
         """Return the properties of the channel, over those of its group, over those of its file."""
         return {**self.file_properties, **self.group_properties, **self.own_properties}
 
-    def refuse(self, problem: str, remedy: str) -> ConfigurationError:
+    def error(self, problem: str, remedy: str) -> ConfigurationError:
         """Return an error that names the channel."""
         return ConfigurationError(f"{self.where}: {problem}; {remedy}")
 
@@ -76,9 +76,9 @@ class Channel:
         try:
             number = float(value)
         except (TypeError, ValueError) as error:
-            raise self.refuse(f"{name} is {value!r}, no number", "correct the file") from error
+            raise self.error(f"{name} is {value!r}, no number", "correct the file") from error
         if not math.isfinite(number):
-            raise self.refuse(f"{name} is {number}", "correct the file")
+            raise self.error(f"{name} is {number}", "correct the file")
         return number
 
 
@@ -95,7 +95,7 @@ class Conversion:
     calibration: Calibration
     polynomial: NDArray[np.float64] | None = None
 
-    def counts(self, values: NDArray[Any], where: str) -> Counts:
+    def counts(self, values: NDArray[np.generic], where: str) -> Counts:
         """Convert the values of a record to counts, shape (n_samples,).
 
         Raises
@@ -110,7 +110,7 @@ class Conversion:
 
 
 def _quantised(
-    values: NDArray[Any], polynomial: NDArray[np.float64], calibration: Calibration, where: str
+    values: NDArray[np.generic], polynomial: NDArray[np.float64], calibration: Calibration, where: str
 ) -> NDArray[np.int32]:
     """Return the nearest code of each value; the end of the range is the highest code, so it is clipped."""
     volts = np.polynomial.polynomial.polyval(values.astype(np.float64), polynomial)
@@ -145,7 +145,7 @@ def conversion_of(channel: Channel, mapping: TdmsMapping) -> Conversion:
             polynomial=_volts_polynomial(channel, mapping, default=np.array([0.0, 1.0])),
         )
     if channel.dtype not in _RAW_TYPES:
-        raise channel.refuse(
+        raise channel.error(
             f"values of type {channel.dtype} are neither counts nor volts",
             "write I16, I32, SGL or DBL, or leave the channel out of channel_pattern",
         )
@@ -161,15 +161,16 @@ def conversion_of(channel: Channel, mapping: TdmsMapping) -> Conversion:
 
 
 def _resolution_bits(channel: Channel, mapping: TdmsMapping) -> int:
+    """Return the ADC resolution; it must be given for 32-bit codes, and fit the stored codes."""
     stored_bits = _RAW_TYPES[channel.dtype]
     if mapping.resolution_bits is None and stored_bits == 32:
-        raise channel.refuse(
+        raise channel.error(
             "32-bit codes of a converter whose resolution is not told: clipping could not be seen",
             "give resolution_bits (18 for a PXIe-6396)",
         )
     bits = stored_bits if mapping.resolution_bits is None else mapping.resolution_bits
     if bits > stored_bits:
-        raise channel.refuse(
+        raise channel.error(
             f"resolution_bits is {bits}, yet the codes have {stored_bits}", "correct resolution_bits"
         )
     return bits
@@ -180,7 +181,7 @@ def _range_v(channel: Channel, coefficients_v: NDArray[np.float64], bits: int) -
     codes = np.array([-(2.0 ** (bits - 1)), 2.0 ** (bits - 1) - 1.0])
     range_v = float(np.abs(np.polynomial.polynomial.polyval(codes, coefficients_v)).max())
     if not (math.isfinite(range_v) and range_v > 0.0):
-        raise channel.refuse(
+        raise channel.error(
             f"the scaling {coefficients_v.tolist()} gives a range of {range_v} V", "give range_v"
         )
     return range_v
@@ -197,7 +198,7 @@ def _volts_polynomial(
     if scaling is None:
         scaling = default
     if scaling is None and (unit.casefold() in _VOLT or mapping.volts_per_unit is None):
-        raise channel.refuse(
+        raise channel.error(
             "whole numbers without NI scaling",
             "give coefficients_v of the board (volts as a polynomial of its codes)",
         )
@@ -207,16 +208,17 @@ def _volts_polynomial(
         return scaling
     if mapping.volts_per_unit is None:
         unit_text = f"the unit is {unit!r}" if unit else f"no unit ({mapping.unit_property} is missing)"
-        raise channel.refuse(f"{unit_text}, V is needed", "give volts_per_unit")
+        raise channel.error(f"{unit_text}, V is needed", "give volts_per_unit")
     return scaling * mapping.volts_per_unit
 
 
 def _scaling_of(channel: Channel) -> NDArray[np.float64] | None:
+    """Return NI's scaling as a polynomial, from channel, else group, else file; None if absent."""
     for properties in (channel.own_properties, channel.group_properties, channel.file_properties):
         try:
             polynomial = raw_polynomial(properties)
         except ScalingError as error:
-            raise channel.refuse(str(error), "give coefficients_v") from error
+            raise channel.error(str(error), "give coefficients_v") from error
         if polynomial is not None:
             return polynomial
     return None
@@ -234,11 +236,11 @@ def sample_rate_hz(channel: Channel, mapping: TdmsMapping) -> float:
         return mapping.sample_rate_hz
     increment_s = channel.number(mapping.increment_property)
     if increment_s is None:
-        raise channel.refuse(
+        raise channel.error(
             f"no sample rate ({mapping.increment_property} is missing)", "give sample_rate_hz"
         )
     if not increment_s > 0.0:
-        raise channel.refuse(
+        raise channel.error(
             f"{mapping.increment_property} is {increment_s} s; it must be positive", "give sample_rate_hz"
         )
     rate_hz = 1.0 / increment_s
@@ -259,7 +261,7 @@ def pretrigger_samples(
     name = mapping.start_offset_property
     if method == PULSE_ECHO:
         if channel.number(name):
-            raise channel.refuse(
+            raise channel.error(
                 f"{name} is {channel.number(name)} s, yet a pulse-echo record starts at the firing pulse",
                 "write it from the pulse on",
             )
@@ -269,13 +271,13 @@ def pretrigger_samples(
         offset_s = channel.number(name)
         if offset_s is None or offset_s >= 0.0:
             problem = f"{name} is missing" if offset_s is None else f"{name} is {offset_s} s"
-            raise channel.refuse(
+            raise channel.error(
                 f"where the trigger is cannot be told: {problem}, a pre-trigger needs a negative one",
                 "give pretrigger_samples",
             )
         samples = round(-offset_s * rate_hz)
     if samples >= record_samples:
-        raise channel.refuse(
+        raise channel.error(
             f"the trigger at sample {samples} is outside the record of {record_samples} samples",
             "give pretrigger_samples",
         )
@@ -290,7 +292,7 @@ def start_utc_ns(channel: Channel, mapping: TdmsMapping) -> int | None:
     try:
         seconds, fractions = int(stamp.seconds), int(stamp.second_fractions)
     except AttributeError as error:
-        raise channel.refuse(
+        raise channel.error(
             f"{mapping.start_time_property} is {stamp!r}, no time stamp", "give another start_time_property"
         ) from error
     # Fractions are 2^-64 s; half is added to round to the nearest nanosecond.

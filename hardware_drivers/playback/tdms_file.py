@@ -6,13 +6,17 @@ import struct
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.playback.tdms_channel import Channel
+
+if TYPE_CHECKING:
+    from nptdms import TdmsChannel, TdmsFile, TdmsGroup
+    from nptdms.tdms import ChannelSegmentStatus
 
 _BRING_BACK = "bring the file back from a copy, or take it away: its shots are missed strikes then"
 
@@ -56,10 +60,10 @@ class ValuesReader:
     """Reader of values; keeps the last file open."""
 
     def __init__(self) -> None:
-        self._open: tuple[Path, Any] | None = None
+        self._open: tuple[Path, TdmsFile] | None = None
         self._closing = ExitStack()
 
-    def read(self, path: Path, group: str, name: str, first: int, n_samples: int) -> NDArray[Any]:
+    def read(self, path: Path, group: str, name: str, first: int, n_samples: int) -> NDArray[np.generic]:
         """Return raw values of a channel; fewer than wanted if the file was changed meanwhile.
 
         Raises
@@ -80,7 +84,7 @@ class ValuesReader:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Any]:
+def _opened(path: Path) -> Iterator[TdmsFile]:
     """Open a file directly: npTDMS would leave a corrupt one open, and trust an index file next to it."""
     import nptdms
 
@@ -89,7 +93,8 @@ def _opened(path: Path) -> Iterator[Any]:
         yield nptdms.TdmsFile.open(file, raw_timestamps=True)
 
 
-def _describe(path: Path, file: Any, group: Any, channel: Any) -> Channel:
+def _describe(path: Path, file: TdmsFile, group: TdmsGroup, channel: TdmsChannel) -> Channel:
+    """Return the metadata of a channel and the type of its raw values."""
     return Channel(
         path=path,
         group=group.name,
@@ -103,7 +108,7 @@ def _describe(path: Path, file: Any, group: Any, channel: Any) -> Channel:
     )
 
 
-def _raw_values(channel: Any, first: int, n_samples: int) -> NDArray[Any]:
+def _raw_values(channel: TdmsChannel, first: int, n_samples: int) -> NDArray[np.generic]:
     """Return raw values: npTDMS scales none."""
     values = channel.read_data(offset=first, length=n_samples, scaled=False)
     if isinstance(values, dict):
@@ -115,7 +120,9 @@ def _raw_values(channel: Any, first: int, n_samples: int) -> NDArray[Any]:
     return np.asarray(values)
 
 
-def _require_complete_values(path: Path, channel: Any, statuses: Mapping[str, Any]) -> None:
+def _require_complete_values(
+    path: Path, channel: TdmsChannel, statuses: Mapping[str, ChannelSegmentStatus]
+) -> None:
     """Reject missing values, which npTDMS fills with zeros or omits; only its status shows them."""
     status = statuses.get(channel.path)
     if status is not None and status.read_length < status.expected_length:

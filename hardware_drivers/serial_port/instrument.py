@@ -65,6 +65,7 @@ class SerialInstrument(Generic[Parameters]):
 
     @property
     def _name_pattern(self) -> str:
+        """Return the pattern of the response to the identity query."""
         return NAME_BY_COMMAS
 
     def close(self) -> None:
@@ -72,8 +73,10 @@ class SerialInstrument(Generic[Parameters]):
         self._line.close()
 
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
+        """Connect, unless the line is in step already."""
         self._line.connect(deadline_s, at_once=at_once)
 
     def _deadline_s(self, timeout_s: float) -> float:
+        """Return the monotonic time at which a call must have ended."""
         require_timeout(timeout_s)
         return self._line.monotonic_s() + timeout_s

@@ -19,6 +19,7 @@ CABLE = "check power, cable and the name in the configuration"
 
 
 def _packages(parameters: SupplyParameters | ClimateParameters) -> tuple[str, ...]:
+    """Return the distributions that the line needs."""
     over_visa = parameters.line.port.startswith(VISA_PREFIX)
     return ("pyserial", "pyvisa", "pyvisa-py") if over_visa else ("pyserial",)
 
@@ -28,6 +29,7 @@ def _packages(parameters: SupplyParameters | ClimateParameters) -> tuple[str, ..
 
 @contextmanager
 def _open_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Opened]:
+    """Yield the supply; its first call opens the port."""
     from hardware_drivers.serial_port.power_supply import ScpiPowerSupply
 
     with closing(ScpiPowerSupply(parameters, stamp=opening.stamp)) as supply:
@@ -36,6 +38,7 @@ def _open_supply(parameters: SupplyParameters, opening: Opening) -> Iterator[Ope
 
 @contextmanager
 def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[Opened]:
+    """Yield the climate probe; its first call opens the port."""
     from hardware_drivers.serial_port.climate_probe import ScpiClimateProbe
 
     with closing(ScpiClimateProbe(parameters, stamp=opening.stamp)) as probe:
@@ -43,6 +46,7 @@ def _open_climate(parameters: ClimateParameters, opening: Opening) -> Iterator[O
 
 
 def _identity_finding(subject: str, identity: Mapping[str, str]) -> Finding:
+    """Return the finding on the identity that an instrument reports."""
     detail = ", ".join(identity.values())
     return Finding(subject=subject, check="identity", state="ok", detail=detail, values=dict(identity))
 

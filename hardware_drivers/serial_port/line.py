@@ -64,6 +64,13 @@ class SerialLine:
         The caller's clock: its monotonic time spaces the attempts to open.
     monotonic_s
         The machine's monotonic time, in which deadlines are given.
+
+    Attributes
+    ----------
+    in_step
+        True while the port is open and every response since the expected name was right.
+    name
+        The instrument's last response to the identity query.
     """
 
     def __init__(
@@ -82,21 +89,11 @@ class SerialLine:
         self._stamp = stamp
         self._port: Port | None = None
         self._echoes = False
-        self._in_step = False
-        self._name = ""
+        self.in_step = False
+        self.name = ""
         self._attempts = 0
         self._next_attempt_ns = 0
         self._trouble: tuple[type[InstrumentError], str] | None = None
-
-    @property
-    def connected(self) -> bool:
-        """Return True while the port is open and every response since the expected name was right."""
-        return self._in_step
-
-    @property
-    def name(self) -> str:
-        """Return the instrument's last response to the identity query."""
-        return self._name
 
     # Opening -------------------------------------------------------------------------------------
 
@@ -124,7 +121,7 @@ class SerialLine:
         ConnectionLostError
             No such port now, no answer, or still waiting for the next attempt.
         """
-        if self._in_step:
+        if self.in_step:
             return False
         now_ns = self._stamp().mono_ns
         if self._trouble is not None and not at_once and now_ns < self._next_attempt_ns:
@@ -132,7 +129,7 @@ class SerialLine:
             kind, message = self._trouble
             raise kind(f"{message}; next attempt in {wait_s:.3g} s")
         try:
-            self._name = self._reach(deadline_s)
+            self.name = self._reach(deadline_s)
         except InstrumentError as error:
             self._attempts += 1
             if isinstance(error, ConfigurationError) or self._attempts % ATTEMPTS_PER_OPENING == 0:
@@ -147,10 +144,11 @@ class SerialLine:
             raise type(error)(self._trouble[1]) from error
         if self._trouble is not None:
             log.warning("%s: back after %d failed attempts to reach it", self._where(), self._attempts)
-        self._attempts, self._trouble, self._in_step = 0, None, True
+        self._attempts, self._trouble, self.in_step = 0, None, True
         return True
 
     def _reach(self, deadline_s: float) -> str:
+        """Return the identity behind the open port, else behind the port opened again."""
         if self._port is not None:
             try:
                 return self._identify(deadline_s)
@@ -202,7 +200,7 @@ class SerialLine:
 
     def close(self) -> None:
         """Close the port; harmless when closed."""
-        port, self._port, self._in_step = self._port, None, False
+        port, self._port, self.in_step = self._port, None, False
         if port is None:
             return
         with contextlib.suppress(*PORT_ERRORS):
@@ -242,10 +240,11 @@ class SerialLine:
         raw = self._query(question, deadline_s)
         reply = _text(raw)
         if reply is None:
-            raise self._lost(f"answered {_shown(raw)} to {question}: that is no text")
+            raise self.lost(f"answered {_shown(raw)} to {question}: that is no text")
         return reply
 
     def _query(self, question: str, deadline_s: float) -> bytes:
+        """Send a query and return its response as bytes; no response, or a second one, is an error."""
         now_s = self.monotonic_s()
         if now_s >= deadline_s:
             raise ConnectionLostError(
@@ -259,12 +258,12 @@ class SerialLine:
         if self._echoes and raw is not None and _text(raw) == question:
             raw = self._next_line(pending, answered_by_s)
         if raw is None:
-            raise self._lost(
+            raise self.lost(
                 f"did not answer {question} in time (at most {reply_timeout_s:g} s)"
                 + (f"; it sent only {_shown(bytes(pending))}" if pending else "")
             )
         if pending:
-            raise self._lost(f"answered {question} twice: {_shown(raw)} and {_shown(bytes(pending))}")
+            raise self.lost(f"answered {question} twice: {_shown(raw)} and {_shown(bytes(pending))}")
         return raw
 
     def query_number(
@@ -296,20 +295,20 @@ class SerialLine:
         reply = self.query(question, deadline_s)
         found = _NUMBER.fullmatch(reply)
         if found is None:
-            raise self._lost(f"answered {reply!r} to {question}: that is no number")
+            raise self.lost(f"answered {reply!r} to {question}: that is no number")
         value = float(found["number"])
         if not math.isfinite(value) or abs(value) >= 9.9e37:
-            raise self._lost(f"answered {reply!r} to {question}: it has no value to give")
+            raise self.lost(f"answered {reply!r} to {question}: it has no value to give")
         headers = {"", header.upper(), question.rstrip("?").upper()}
         if (found["header"] or "").upper() not in headers:
-            raise self._lost(f"answered {reply!r} to {question}: that answers another question")
+            raise self.lost(f"answered {reply!r} to {question}: that answers another question")
         if found["unit"] in {"", stray}:
             return value
         for unit in units:
             prefix = found["unit"][: len(found["unit"]) - len(unit)]
             if found["unit"].upper().endswith(unit.upper()) and prefix in _PREFIXES:
                 return value * _PREFIXES[prefix]
-        raise self._lost(
+        raise self.lost(
             f"answered {reply!r} to {question}: expected {' or '.join(units) or 'no unit'} behind the number"
         )
 
@@ -332,7 +331,7 @@ class SerialLine:
         if raw:
             byte = self._query(question, deadline_s)
             if len(byte) != 1:
-                raise self._lost(f"answered {_shown(byte)} to {question}: expected one byte")
+                raise self.lost(f"answered {_shown(byte)} to {question}: expected one byte")
             return bool(byte[0] & mask)
         reply = self.query(question, deadline_s)
         state_text = reply.upper().removeprefix(f"{question.rstrip('?').upper()} ")
@@ -342,7 +341,7 @@ class SerialLine:
             return True
         if not mask and state_text in {"0", "+0", "OFF", "NO"}:
             return False
-        raise self._lost(f"answered {reply!r} to {question}: expected {'a number' if mask else '0 or 1'}")
+        raise self.lost(f"answered {reply!r} to {question}: expected {'a number' if mask else '0 or 1'}")
 
     def query_error(self, question: str, deadline_s: float, *, bare: bool = False) -> str | None:
         """Return one entry of the instrument's error queue; None when there is none.
@@ -359,10 +358,11 @@ class SerialLine:
         """
         reply = self.query(question, deadline_s)
         if not (_BARE_ERROR if bare else _ERROR_QUEUE_ENTRY).match(reply):
-            raise self._lost(f"answered {reply!r} to {question}: that is no entry of an error queue")
+            raise self.lost(f"answered {reply!r} to {question}: that is no entry of an error queue")
         return None if int(reply.partition(",")[0]) == 0 else reply
 
     def _write(self, command: str) -> None:
+        """Discard late responses, then send a command."""
         if self._port is None:
             raise ConnectionLostError(f"{self._where()} is closed")
         with self._translated(f"send {command}"):
@@ -385,7 +385,7 @@ class SerialLine:
                 line, _, pending[:] = pending.partition(terminator)
                 return bytes(line)
             if len(pending) > self.parameters.longest_reply_bytes:
-                raise self._lost(
+                raise self.lost(
                     f"sent more than {self.parameters.longest_reply_bytes} bytes without a terminator: "
                     f"{_shown(bytes(pending))}; check baud rate and terminator"
                 )
@@ -401,24 +401,23 @@ class SerialLine:
 
     @contextlib.contextmanager
     def _translated(self, doing: str) -> Iterator[None]:
+        """Translate errors of the port; a port that is gone is closed."""
         try:
             yield
         except serial.SerialTimeoutException as error:
-            raise self._lost(f"does not take commands (could not {doing}); check flow control") from error
+            raise self.lost(f"does not take commands (could not {doing}); check flow control") from error
         except PORT_ERRORS as error:
             self.close()
-            raise self._lost(f"is gone (could not {doing}: {error}); check its plug and power") from error
+            raise self.lost(f"is gone (could not {doing}: {error}); check its plug and power") from error
 
-    def refused(self, message: str) -> ConnectionLostError:
+    def lost(self, message: str) -> ConnectionLostError:
         """Mark the line as out of step after an impossible response; return the error to raise."""
-        return self._lost(message)
-
-    def _lost(self, message: str) -> ConnectionLostError:
-        self._in_step = False
+        self.in_step = False
         return ConnectionLostError(f"{self._where()} {message}")
 
     def _where(self) -> str:
-        return f"{self._name.rstrip() or 'the instrument'} at {self.parameters.port}"
+        """Return name and port of the instrument, for messages."""
+        return f"{self.name.rstrip() or 'the instrument'} at {self.parameters.port}"
 
 
 def _text(raw: bytes | bytearray) -> str | None:
@@ -441,4 +440,5 @@ def _is_name(reply: str) -> bool:
 
 
 def _shown(raw: bytes) -> str:
+    """Return the beginning of a response for a message."""
     return repr(raw[:SHOWN_BYTES]) + ("..." if len(raw) > SHOWN_BYTES else "")

@@ -7,9 +7,9 @@ from typing import Annotated, ClassVar, Literal
 
 from annotated_types import Ge, Gt, Le
 
-from hardware_drivers.bounds import bounded
+from hardware_drivers.bounds import bounded, check_pair
 from hardware_drivers.drive_parameters import CLIMATE_KEYS, WATCH_KEYS, DriveParameters, LogParameters
-from hardware_drivers.serial_port.dialects import DIALECTS
+from hardware_drivers.serial_port.dialects import dialect_of_channel
 
 POLL_S = 0.05
 """Granularity of a reply's deadline; a reply that has come is read at once."""
@@ -85,11 +85,7 @@ class SerialLineParameters:
             raise ValueError(
                 f"port is {self.port!r}; give visa: and a resource, like {VISA_PREFIX}GPIB0::5::INSTR"
             )
-        if self.reconnect_longest_s < self.reconnect_first_s:
-            raise ValueError(
-                f"reconnect_longest_s is {self.reconnect_longest_s} s; it must be at least "
-                f"reconnect_first_s = {self.reconnect_first_s} s"
-            )
+        check_pair(self, "reconnect_longest_s", "at least", "reconnect_first_s", " s")
 
 
 @bounded
@@ -136,7 +132,7 @@ class SupplyParameters(DriveParameters):
                 raise ValueError(
                     f"setup_commands has {command!r}; only SYST, INST and DISP commands are sent"
                 )
-        dialect = DIALECTS[self.dialect](self.channel)
+        dialect = dialect_of_channel(self.dialect, self.channel)
         for name, level in (
             ("over_voltage_v", dialect.over_voltage),
             ("over_current_a", dialect.over_current),
@@ -146,10 +142,8 @@ class SupplyParameters(DriveParameters):
                     f"{name} is {getattr(self, name)}; dialect {self.dialect} cannot set and read back that "
                     "level: set it at the instrument and leave the key out"
                 )
-        if self.over_voltage_v is not None and self.over_voltage_v <= self.voltage_v:
-            raise ValueError(
-                f"over_voltage_v is {self.over_voltage_v}; it must be above voltage_v = {self.voltage_v}"
-            )
+        if self.over_voltage_v is not None:
+            check_pair(self, "over_voltage_v", "above", "voltage_v")
 
 
 @bounded

@@ -47,27 +47,21 @@ class Port(Protocol):
     @property
     def in_waiting(self) -> int:
         """Return how many bytes can be read at once; an upper bound where that is unknown."""
-        ...
 
     def read(self, size: int, /) -> bytes:
         """Wait up to `POLL_S` for data, and return up to ``size`` bytes, or none."""
-        ...
 
     def write(self, data: bytes, /) -> int | None:
         """Write all of the data."""
-        ...
 
     def reset_input_buffer(self) -> None:
         """Discard the received data."""
-        ...
 
     def reset_output_buffer(self) -> None:
         """Discard the data that was not sent."""
-        ...
 
     def close(self) -> None:
         """Close the port."""
-        ...
 
 
 class TcpPort:
@@ -109,6 +103,7 @@ class TcpPort:
         self._socket.close()
 
     def _received(self, size: int) -> bytes:
+        """Receive up to so many bytes; a closed connection is an error."""
         if not (data := self._socket.recv(size)):
             raise ConnectionResetError(errno.ECONNRESET, "the instrument hung up")
         return data

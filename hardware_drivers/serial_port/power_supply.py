@@ -13,7 +13,7 @@ from collections.abc import Mapping
 
 from hardware_drivers.errors import ConfigurationError, ConnectionLostError, InstrumentError
 from hardware_drivers.measurement import SupplyReading
-from hardware_drivers.serial_port.dialects import DIALECTS, Dialect, Flag, Level, Number
+from hardware_drivers.serial_port.dialects import Dialect, Flag, Level, Number, dialect_of_channel
 from hardware_drivers.serial_port.instrument import SerialInstrument
 from hardware_drivers.serial_port.parameters import ORDER_REPLIES, SupplyParameters
 
@@ -128,7 +128,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         deadline_s = self._deadline_s(ORDER_REPLIES * self._parameters.line.reply_timeout_s)
         try:
             # A line that looks open may be dead: then one fresh attempt.
-            if self._line.connected:
+            if self._line.in_step:
                 try:
                     self._switch_off(deadline_s)
                     return
@@ -145,25 +145,31 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
 
     @property
     def _dialect(self) -> Dialect:
-        return DIALECTS[self._parameters.dialect](self._parameters.channel)
+        """Return the commands of this supply."""
+        return dialect_of_channel(self._parameters.dialect, self._parameters.channel)
 
     @property
     def _name_pattern(self) -> str:
+        """Return the pattern of the dialect's response to the identity query."""
         return self._dialect.name
 
     def _protections(self) -> tuple[Flag, ...]:
+        """Return the queries of tripped protections, the configured ones before those of the dialect."""
         given = self._parameters.protection_queries
         return self._dialect.protections if given is None else tuple(Flag(ask=query) for query in given)
 
     def _number(self, number: Number, deadline_s: float) -> float:
+        """Query a number."""
         return self._line.query_number(
             number.ask, deadline_s, units=(number.unit,), header=number.header, stray=number.stray
         )
 
     def _flag(self, flag: Flag, deadline_s: float) -> bool:
+        """Query a yes or no."""
         return self._line.query_flag(flag.ask, deadline_s, mask=flag.mask, raw=flag.raw)
 
     def _connect(self, deadline_s: float, *, at_once: bool = False) -> None:
+        """Connect, send the setup commands if the line was opened, and log the errors that they cause."""
         for entry in self._set_up(deadline_s, at_once=at_once):
             log.warning("%s after the setup commands: %s", self._line.name, entry)
 
@@ -176,6 +182,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return self._drain_errors(deadline_s)
 
     def _measure(self, deadline_s: float) -> SupplyReading:
+        """Measure voltage, current and output state; if the output is off, also the tripped protections."""
         voltage_v = self._number(self._dialect.measured_voltage, deadline_s)
         stamp = self._stamp()
         current_a = self._number(self._dialect.measured_current, deadline_s)
@@ -184,9 +191,10 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return SupplyReading(stamp=stamp, voltage_v=voltage_v, current_a=current_a, output_on=output_on)
 
     def _switch_off(self, deadline_s: float) -> None:
+        """Switch the output off and read that back."""
         self._line.send(self._dialect.switch_off)
         if self._flag(self._dialect.output, deadline_s):
-            raise self._line.refused("was told to switch its output off and says it is on")
+            raise self._line.lost("was told to switch its output off and says it is on")
 
     def _set(self, voltage_v: float, current_limit_a: float, deadline_s: float) -> None:
         """Set the limit first, so that a voltage never meets the limit of an earlier command."""
@@ -205,6 +213,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                 self._set_level(level, value, deadline_s)
 
     def _set_level(self, level: Level, value: float, deadline_s: float) -> None:
+        """Set a level and its switch, and read both back."""
         parameters, unit = self._parameters, level.read.unit
         tolerance = parameters.readback_tolerance_v if unit == "V" else parameters.readback_tolerance_a
         for command in (f"{level.command}{value:{level.digits}}", level.enable):
@@ -239,6 +248,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
                 )
 
     def _require_no_protection_tripped(self, deadline_s: float) -> None:
+        """Raise ConfigurationError if a protection has tripped."""
         self._tripped = tripped = self._ask_protections(deadline_s)
         if tripped:
             if self._dialect.trips_are_events:
@@ -250,6 +260,7 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
             )
 
     def _ask_protections(self, deadline_s: float) -> tuple[str, ...]:
+        """Return the names of the tripped protections; an unknown query is remembered and left out."""
         tripped = list(self._tripped) if self._dialect.trips_are_events else []
         for flag in self._protections():
             if flag.ask in self._undefined:
@@ -269,19 +280,22 @@ class ScpiPowerSupply(SerialInstrument[SupplyParameters]):
         return tuple(tripped)
 
     def _reports_undefined(self, deadline_s: float) -> bool:
+        """Check whether the supply reports that it did not know the last query."""
         entries = self._set_up(deadline_s, at_once=True) + self._drain_errors(deadline_s)
         return any(int(entry.partition(",")[0]) == UNDEFINED_HEADER for entry in entries)
 
     def _require_no_error(self, doing: str, deadline_s: float) -> None:
+        """Raise ConfigurationError if the supply reports an error."""
         entries = self._drain_errors(deadline_s)
         if entries:
             raise ConfigurationError(f"{self._line.name} refused to {doing}: {'; '.join(entries)}")
 
     def _drain_errors(self, deadline_s: float) -> list[str]:
+        """Return every entry of the supply's error queue, which is empty afterwards."""
         entries: list[str] = []
         query, bare = self._dialect.error_query, self._dialect.bare_errors
         while query and (entry := self._line.query_error(query, deadline_s, bare=bare)) is not None:
             entries.append(entry)
             if len(entries) == ERROR_QUEUE_LENGTH:
-                raise self._line.refused(f"has an error queue that does not end: {entry}")
+                raise self._line.lost(f"has an error queue that does not end: {entry}")
         return entries

@@ -106,6 +106,7 @@ class VisaPort:
             self._resource.close()
 
     def _read(self, size: int, wait_ms: float) -> bytes:
+        """Read up to so many bytes within a time; none at its end."""
         with _as_os_error():
             self._resource.timeout = wait_ms
             try:

@@ -12,7 +12,6 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
-from types import MappingProxyType
 from typing import Any, Literal
 
 from hardware_drivers.measurement import ShotKey
@@ -39,10 +38,10 @@ from simulator.doubles.daqmx.strikes import Strikes
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Clock, Handler, TaskHandler, WallClock
 from simulator.doubles.faults import Faults, wrong_answer
 from simulator.doubles.niscope.device_model import NiscopeBrain
+from simulator.doubles.vendor_api import statuses
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
-from simulator.doubles.vendor_api.entry_points import EntryPoint
-from simulator.doubles.vendor_api.statuses import TRANSFER_ABORTED, Status
-from simulator.doubles.vendor_api.table import TABLE
+from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, EntryPoint
+from simulator.doubles.vendor_api.statuses import Status
 
 ClientKind = Literal["library", "grpc"]
 
@@ -56,27 +55,23 @@ EXIT_ON_DEATH = 70
 """Exit code of a process that was ordered to die."""
 
 
-HANDLERS: Mapping[str, Handler] = MappingProxyType(
-    {
-        **task_calls.HANDLERS,
-        **routing.HANDLERS,
-        **device_calls.HANDLERS,
-        **watchdog.HANDLERS,
-        **device_attributes.HANDLERS,
-    }
-)
+HANDLERS: Mapping[str, Handler] = {
+    **task_calls.HANDLERS,
+    **routing.HANDLERS,
+    **device_calls.HANDLERS,
+    **watchdog.HANDLERS,
+    **device_attributes.HANDLERS,
+}
 """Of NI-DAQmx, by C name."""
-TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
-    {
-        **task_calls.TASK_HANDLERS,
-        **analog_calls.TASK_HANDLERS,
-        **counter_output.TASK_HANDLERS,
-        **routing.TASK_HANDLERS,
-        **watchdog.TASK_HANDLERS,
-        **channel_attributes.TASK_HANDLERS,
-        **task_attributes.TASK_HANDLERS,
-    }
-)
+TASK_HANDLERS: Mapping[str, TaskHandler] = {
+    **task_calls.TASK_HANDLERS,
+    **analog_calls.TASK_HANDLERS,
+    **counter_output.TASK_HANDLERS,
+    **routing.TASK_HANDLERS,
+    **watchdog.TASK_HANDLERS,
+    **channel_attributes.TASK_HANDLERS,
+    **task_attributes.TASK_HANDLERS,
+}
 """Those that are about one task."""
 
 
@@ -215,7 +210,7 @@ class Brain:
         Status
             An error, or a warning that brings its values along.
         """
-        entry = TABLE[function]
+        entry = ENTRY_POINTS[function]
         attribute = ATTRIBUTES.get(arguments.get("attribute", 0))
         name = attribute.name if attribute is not None else ""
         begin_ns = time.monotonic_ns()
@@ -247,7 +242,7 @@ class Brain:
         if fault is not None and fault.kind == "hang":
             self.faults.hang(fault.seconds)
             if not self.is_open(client):
-                raise Status(TRANSFER_ABORTED, "The caller went away while its call hung.")
+                raise Status(statuses.TRANSFER_ABORTED, "The caller went away while its call hung.")
         if fault is not None and fault.kind == "error":
             raise Status(fault.code, "Ordered by a test.")
         if fault is not None and fault.kind == "lie":

@@ -10,8 +10,7 @@ from typing import Any, Literal
 import numpy as np
 
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
-from simulator.doubles.vendor_api.entry_points import FLOAT64, HANDLE, EntryPoint, Parameter, Role, Scalar
-from simulator.doubles.vendor_api.table import TABLE
+from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, HANDLE, EntryPoint, Parameter, Role
 from simulator.doubles.vendor_api.wire import outputs
 
 FaultKind = Literal["error", "hang", "lie", "death"]
@@ -78,7 +77,7 @@ class Faults:
             No such function or kind, or an ``error`` without its code.
         """
         name, _, attribute = function.partition(":")
-        if name not in TABLE or TABLE[name].local:
+        if name not in ENTRY_POINTS:
             raise ValueError(f"function is {function!r}; it must be one of the table's entry points")
         if attribute and attribute not in {known.name for known in ATTRIBUTES.values()}:
             raise ValueError(f"attribute is {attribute!r}; it must be one of the table's attributes")
@@ -166,14 +165,8 @@ def _distorted(parameter: Parameter, value: Any) -> Any:
         return ""
     if parameter.role is Role.OUT_ARRAY:
         return np.asarray(value) * 2
-    return _distorted_number(parameter.scalar, value)
-
-
-def _distorted_number(scalar: Scalar, value: Any) -> Any:
-    if scalar is FLOAT64:
+    if parameter.c_type == "double":
         return value * 1.01
-    if scalar is HANDLE:
+    if parameter.c_type == HANDLE:
         return value + 0x1000
-    if value in (0, 1):
-        return 1 - value
-    return value + 1
+    return 1 - value if value in (0, 1) else value + 1

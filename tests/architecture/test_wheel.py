@@ -36,7 +36,9 @@ def wheel(tmp_path_factory):
 def test_the_wheel_holds_configuration_dashboard_templates_migrations_and_licence(wheel):
     archive = zipfile.ZipFile(wheel)
     names = archive.namelist()
+    needed_by_doubles = ("nidaqmx.h", "niScope.h", "attributes.csv", "statuses.toml")
     for wanted in (
+        *(f"simulator/doubles/vendor_api/{name}" for name in needed_by_doubles),
         "daq_service/cli/groups/commands.toml",
         "daq_service/web/answers/vocabulary.toml",
         "daq_service/web/auth/roles.toml",
@@ -54,6 +56,9 @@ def test_the_wheel_holds_configuration_dashboard_templates_migrations_and_licenc
         *(f"daq_service/web/templates/{path.name}" for path in TEMPLATES),
         "daq_service/web/dashboard/vendor/uplot/LICENSE",
         "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
+        "hardware_drivers/daqmx/status_classes.toml",
+        "hardware_drivers/niscope/status_classes.toml",
+        "hardware_drivers/serial_port/dialects.toml",
         "hardware_drivers/conformance/test_instrument.py",
         "hardware_drivers/conformance/digitizer_contract.py",
         *(f"{package}/py.typed" for package in ("daq_service", "hardware_drivers", "analysis", "simulator")),

@@ -6,7 +6,7 @@ from support.daqmx_rig import TRANSPORTS, meet, parameters_of, quick_description
 
 from hardware_drivers.conformance.digitizer_contract import DigitizerContract
 from hardware_drivers.conformance.striker_contract import StrikerContract
-from hardware_drivers.daqmx import open_daqmx
+from hardware_drivers.daqmx.instruments import open_daqmx
 from hardware_drivers.instruments import SelfCalibrating
 from hardware_drivers.measurement import ShotKey
 

@@ -28,7 +28,7 @@ from support.waiting import happened
 
 from analysis.waves.features import extract_features
 from daq_service.cli.doctor.spike import proposed_ringing_s, survey_coil
-from hardware_drivers.daqmx import open_daqmx
+from hardware_drivers.daqmx.instruments import open_daqmx
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.crosstalk import Crosstalk
 from simulator.parameters.electronics import NoiseParameters

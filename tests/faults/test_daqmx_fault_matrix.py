@@ -39,8 +39,9 @@ from support.daqmx_rig import (
 )
 from support.waiting import happened
 
-from hardware_drivers.daqmx import DaqmxParameters, WatchdogWiring, open_daqmx
 from hardware_drivers.daqmx.chassis import LADDER
+from hardware_drivers.daqmx.instruments import open_daqmx
+from hardware_drivers.daqmx.parameters import DaqmxParameters, WatchdogWiring
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     BusyError,

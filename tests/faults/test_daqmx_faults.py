@@ -31,8 +31,8 @@ from support.daqmx_rig import (
 )
 from support.waiting import happened
 
-from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.daqmx.chassis import LADDER
+from hardware_drivers.daqmx.instruments import open_daqmx
 from hardware_drivers.daqmx.parameters import LONGEST_PULSE_S
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,

@@ -3,6 +3,7 @@
 The doubles strike and record in real time. Shots are compared with those of the twin without any crosstalk.
 """
 
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -25,8 +26,8 @@ from support.daqmx_rig import (
 from support.waiting import happened
 
 from analysis.waves.features import extract_features
-from hardware_drivers.daqmx import open_daqmx
-from hardware_drivers.daqmx.pulse_record import record_pulse
+from hardware_drivers.daqmx.instruments import open_daqmx
+from hardware_drivers.daqmx.pulse_record import FreeInput
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError, InstrumentError
 from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.crosstalk import Crosstalk
@@ -191,8 +192,9 @@ def test_a_wave_that_comes_before_the_holdoff_is_over_is_a_missed_strike(doubles
 def test_a_whole_strike_is_recorded_with_both_edges_and_the_wave(doubles, parameters):
     mine = only(parameters, "C", holdoff_s=HOLDOFF_S)
     doubles.control.disturb("C", replace(SPIKE, off_v=-0.4, decay_s=50e-6))
-    record = record_pulse(mine, "C", READ_TIMEOUT_S)
-    strike, rate_hz = record.strike, record.strike.sample_rate_hz
+    with closing(FreeInput(mine, "C", READ_TIMEOUT_S)) as free:
+        noise, strike = free.quiet(), free.strike()
+    rate_hz = strike.sample_rate_hz
     volts = strike.volts()
     off = round(mine.pulse_s * rate_hz)
     assert strike.counts.size == mine.whole_strike_samples
@@ -200,13 +202,13 @@ def test_a_whole_strike_is_recorded_with_both_edges_and_the_wave(doubles, parame
     assert volts[off + 1] == pytest.approx(-0.4, rel=0.01)
     after_s = (np.argmax(volts[off + 10_000 :]) + 10_000) / rate_hz
     assert after_s == pytest.approx(mine.fall_s, rel=0.3), "the drop height scatters by a tenth"
-    assert record.noise.counts.size == mine.record_samples
-    assert np.abs(record.noise.volts()).max() < 1e-3
+    assert noise.counts.size == mine.record_samples
+    assert np.abs(noise.volts()).max() < 1e-3
     assert coil_pulses_s(doubles.control.record()) == [pytest.approx(mine.pulse_s, abs=1e-8)]
 
 
 @by_library
 def test_a_rehearsal_records_no_strike(doubles, parameters):
     with pytest.raises(ConfigurationError, match="dry_run is true"):
-        record_pulse(replace(parameters, dry_run=True), "C", READ_TIMEOUT_S)
+        FreeInput(replace(parameters, dry_run=True), "C", READ_TIMEOUT_S)
     assert doubles.control.record()["calls"] == []

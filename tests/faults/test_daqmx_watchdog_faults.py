@@ -23,7 +23,8 @@ from support.daqmx_rig import (
     wired,
 )
 
-from hardware_drivers.daqmx import WatchdogWiring, open_daqmx
+from hardware_drivers.daqmx.instruments import open_daqmx
+from hardware_drivers.daqmx.parameters import WatchdogWiring
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     BusyError,

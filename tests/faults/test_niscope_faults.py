@@ -25,7 +25,7 @@ from hardware_drivers.errors import (
     UnknownStatusError,
 )
 from hardware_drivers.niscope.pulse_echo import open_niscope
-from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE, CLASS_OF_KERNEL_CODE
+from hardware_drivers.niscope.vendor_errors import CLASS_OF_CODE
 from simulator.doubles.device_model import Brain
 
 pytestmark = rig.needs_niscope
@@ -272,7 +272,7 @@ def test_a_hung_call_ends_with_its_process_and_leaves_the_board_free(brain, func
     assert works_again(brain)
 
 
-CLASSES = {**CLASS_OF_CODE, **CLASS_OF_KERNEL_CODE, -1074135024: UnknownStatusError}
+CLASSES = {**CLASS_OF_CODE, -1074135024: UnknownStatusError}
 ONE_OF_EACH = {kind: code for code, kind in CLASSES.items()}.values()
 
 

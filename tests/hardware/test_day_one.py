@@ -13,11 +13,11 @@ from looped_coil import AFTER_S, LOOPBACK_PRETRIGGER, LOOPBACK_RATE_HZ
 
 from analysis.waves.features import extract_features
 from daq_service.cli.doctor.spike import spike_check
-from hardware_drivers.daqmx import open_daqmx
 from hardware_drivers.daqmx.acquisition import commit_acquisition
-from hardware_drivers.daqmx.boards import find_boards, same_serial
+from hardware_drivers.daqmx.boards import find_boards, normalized_serial
 from hardware_drivers.daqmx.coil import commit_coil
 from hardware_drivers.daqmx.connection import Connection
+from hardware_drivers.daqmx.instruments import open_daqmx
 from hardware_drivers.daqmx.look import digital_name
 from hardware_drivers.daqmx.survey import survey_rig
 from hardware_drivers.errors import AcquisitionTimeoutError
@@ -46,7 +46,7 @@ def test_the_coils_lines_power_up_low(parameters):
     if parameters.transport == "grpc":
         pytest.skip("power-up states are read at the chassis itself")
     lines = {
-        (same_serial(wiring.coil_serial), digital_name(wiring.output_terminal))
+        (normalized_serial(wiring.coil_serial), digital_name(wiring.output_terminal))
         for wiring in parameters.transducers.values()
     }
     if not all(line for _, line in lines):
@@ -94,7 +94,7 @@ def test_self_calibration_is_dated_today_and_leaves_the_scaling_sound(parameters
         position = next(iter(parameters.transducers))
         rig.digitizer.arm(ShotKey(position=position, set_index=0, shot_index=0))
         acquired = rig.digitizer.read(READ_TIMEOUT_S)
-    assert set(done) == {same_serial(wiring.board_serial) for wiring in parameters.transducers.values()}
+    assert set(done) == {normalized_serial(wiring.board_serial) for wiring in parameters.transducers.values()}
     calibration_date = str(acquired.settings["calibration_date"])
     if not calibration_date:
         pytest.skip(f"this board does not calibrate itself: {done}")
@@ -220,7 +220,7 @@ def test_no_other_coil_reaches_this_one(loopback, parameters):
     others = [
         name
         for name, wiring in parameters.transducers.items()
-        if name != loopback.position and same_serial(wiring.coil_serial) == serial
+        if name != loopback.position and normalized_serial(wiring.coil_serial) == serial
     ]
     if not others:
         pytest.skip("no other coil is driven by this board")

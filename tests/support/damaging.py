@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from pathlib import Path
 
 PAGE = 4096
 
@@ -27,3 +28,10 @@ def damaged(content: bytes, number: int, *, used: int | None = None) -> bytes:
     else:
         broken[place] ^= 1 << chance.randrange(8)
     return bytes(broken)
+
+
+def flip(path: Path, place: int, bits: int = 1) -> None:
+    """Flip bits of one byte of a file."""
+    content = bytearray(path.read_bytes())
+    content[place] ^= bits
+    path.write_bytes(content)

@@ -14,9 +14,9 @@ from typing import Any
 
 import pytest
 
-from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring
-from hardware_drivers.daqmx.instruments import DaqmxInstruments
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.instruments import Acquired
+from hardware_drivers.kinds import Opened
 from hardware_drivers.measurement import Counts, ShotKey
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, BoardParameters, Description
 from simulator.doubles.chassis.description import TransducerWiring as DoubleWiring
@@ -132,7 +132,7 @@ READ_TIMEOUT_S = 60.0
 
 
 def take(
-    rig: DaqmxInstruments, doubles: RunningDoubles, key: ShotKey, *, read_timeout_s: float = READ_TIMEOUT_S
+    rig: Opened, doubles: RunningDoubles, key: ShotKey, *, read_timeout_s: float = READ_TIMEOUT_S
 ) -> Acquired:
     """Take one shot and announce its key to the double."""
     doubles.control.announce(key, HOUR_H)

@@ -71,6 +71,10 @@ Answer = ShotFeatures | Waveform | InstrumentError | None
 Script = Callable[[ShotKey], Answer]
 
 
+class KilledError(BaseException):
+    """End of the recorder's process."""
+
+
 @cache
 def _default_settings() -> Settings:
     return load_settings(None, overrides=MEMORY)
@@ -200,6 +204,21 @@ class Line:
     look_every_s: float = 0.001
     given: list[tuple[str, str, dict[str, Any]]] = field(default_factory=list)
     runs: bool = False
+
+    def __post_init__(self) -> None:
+        self.folder.mkdir(exist_ok=True)
+
+    def stop_at(self, key: ShotKey) -> threading.Event:
+        """Return a stop that is set when the record of a shot is read; the script goes on."""
+        script, stop = self.script, threading.Event()
+
+        def stopping(key_of_shot: ShotKey) -> Answer:
+            if key_of_shot == key:
+                stop.set()
+            return script(key_of_shot)
+
+        self.script = stopping
+        return stop
 
     def run(
         self,

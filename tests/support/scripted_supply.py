@@ -6,6 +6,13 @@ from collections.abc import Mapping
 from typing import Any
 
 from hardware_drivers.measurement import SupplyReading
+from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
+
+
+def supply_parameters(**values: Any) -> SupplyParameters:
+    """Return parameters of any supply, read every 10 s."""
+    line = SerialLineParameters(port="COM4")
+    return SupplyParameters(**{"line": line, "identity": "ANY", "log_interval_s": 10.0, **values})
 
 
 class ScriptedSupply:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import queue
+import socket
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -33,6 +34,13 @@ class Served:
     @property
     def netloc(self) -> str:
         return self.url.partition("://")[2].rstrip("/")
+
+    def connection(self, sent: bytes = b"") -> socket.socket:
+        """Connect below HTTP, and send the start of a request."""
+        host, _, port = self.netloc.partition(":")
+        connected = socket.create_connection((host, int(port)), timeout=DEADLINE_S)
+        connected.sendall(sent)
+        return connected
 
     def client(self, **headers: str) -> httpx.Client:
         # Nothing is encrypted: reading all certificates would take longer than most tests.

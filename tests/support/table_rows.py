@@ -33,3 +33,9 @@ def lose_catalogue(folder: Path, *others: str) -> None:
     """Remove the catalogue with the files of SQLite, and other files."""
     for path in (*folder.glob("catalogue*.sqlite*"), *(folder / name for name in others)):
         path.unlink(missing_ok=True)
+
+
+def execute(folder: Path, sql: str) -> list[tuple[Any, ...]]:
+    """Execute a statement on a catalogue behind the back of its writer; return its rows."""
+    with closing(sqlite3.connect(folder / FILE_NAME)) as database, database:
+        return database.execute(sql).fetchall()

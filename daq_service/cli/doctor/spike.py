@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import closing
 from dataclasses import replace
 
 from analysis.errors import AnalysisError
@@ -27,12 +28,13 @@ def survey_coil(parameters: DaqmxParameters, position: str, timeout_s: float) ->
     AnalysisError
          The record cannot be analyzed.
     """
-    from hardware_drivers.daqmx.pulse_record import record_pulse
+    from hardware_drivers.daqmx.pulse_record import FreeInput
 
-    record = record_pulse(parameters, position, timeout_s)
+    with closing(FreeInput(parameters, position, timeout_s)) as free:
+        noise, strike = free.quiet(), free.strike()
     return survey_spike(
-        record.strike,
-        record.noise,
+        strike,
+        noise,
         pulse_s=parameters.pulse_s,
         fall_s=parameters.fall_s,
         pretrigger_s=parameters.pretrigger_samples / parameters.sample_rate_hz,

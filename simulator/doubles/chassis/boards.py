@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 from hardware_drivers.measurement import Calibration
 from simulator.electronics.transduction import adc_calibration
@@ -70,7 +69,7 @@ DIFFERENTIAL = 10106
 PSEUDODIFFERENTIAL = 12529
 _PFI = tuple(f"PFI{number}" for number in range(16))
 _PORTS = tuple(f"port{1 + line // 8}/line{line % 8}" for line in range(16))
-_PFI_OF_LINE = MappingProxyType(dict(zip(_PORTS, _PFI, strict=True)))
+_PFI_OF_LINE = dict(zip(_PORTS, _PFI, strict=True))
 
 _X_SERIES = BoardType(
     product="PXIe-6386",
@@ -122,7 +121,7 @@ _TYPES = (
     ),
 )
 
-BOARD_TYPES: Mapping[str, BoardType] = MappingProxyType({kind.product: kind for kind in _TYPES})
+BOARD_TYPES: Mapping[str, BoardType] = {kind.product: kind for kind in _TYPES}
 """By product name."""
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -148,13 +147,11 @@ def _read(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arg
     return {"read_array": codes.astype(dtype), "samps_per_chan_read": codes.size}
 
 
-TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
-    {
-        "DAQmxCreateAIVoltageChan": create_voltage_channel,
-        "DAQmxCfgSampClkTiming": configure_sample_clock,
-        "DAQmxCfgAnlgEdgeRefTrig": configure_reference_trigger,
-        "DAQmxDisableRefTrig": disable_reference_trigger,
-        "DAQmxReadBinaryI16": partial(_read, np.int16),
-        "DAQmxReadBinaryI32": partial(_read, np.int32),
-    }
-)
+TASK_HANDLERS: Mapping[str, TaskHandler] = {
+    "DAQmxCreateAIVoltageChan": create_voltage_channel,
+    "DAQmxCfgSampClkTiming": configure_sample_clock,
+    "DAQmxCfgAnlgEdgeRefTrig": configure_reference_trigger,
+    "DAQmxDisableRefTrig": disable_reference_trigger,
+    "DAQmxReadBinaryI16": partial(_read, np.int16),
+    "DAQmxReadBinaryI32": partial(_read, np.int32),
+}

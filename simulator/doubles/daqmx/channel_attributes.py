@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 
 from simulator.doubles.chassis.boards import terminals
 from simulator.doubles.daqmx import tasks
@@ -79,6 +78,7 @@ def set_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
     tasks.changed(task)
 
 
-TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
-    {"DAQmxGetChanAttribute": get_channel, "DAQmxSetChanAttribute": set_channel}
-)
+TASK_HANDLERS: Mapping[str, TaskHandler] = {
+    "DAQmxGetChanAttribute": get_channel,
+    "DAQmxSetChanAttribute": set_channel,
+}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.daqmx.analog_input import correct_started_tasks, search_again
@@ -14,7 +13,8 @@ from simulator.doubles.daqmx.reservations import resource
 from simulator.doubles.daqmx.routing import FALLING, RISING, fire_edge, start_trigger_of
 from simulator.doubles.daqmx.strikes import Strike
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Task, TaskHandler
-from simulator.doubles.vendor_api.statuses import WATCHDOG_EXPIRED, Status, rejected_property
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status, rejected_property
 
 LOW = 10214
 HIGH = 10192
@@ -93,7 +93,7 @@ class CounterOutput:
         for watch in bench.tasks.values():
             mine = watch.kind == "watchdog" and watch.is_on(task.device.serial_number)
             if mine and watch.run is not None and watch.run.expired_ns is not None:
-                raise Status(WATCHDOG_EXPIRED, task=task.name)
+                raise Status(statuses.WATCHDOG_EXPIRED, task=task.name)
         task.n_starts += 1
         task.run = Generation(begin_ns=None if start_trigger_of(task) else now_ns)
         if task.run.begin_ns is not None:
@@ -179,6 +179,4 @@ def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None
     bench.last_channel[task.client] = task.channel.name
 
 
-TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
-    {"DAQmxCreateCOPulseChanTime": create_pulse_channel}
-)
+TASK_HANDLERS: Mapping[str, TaskHandler] = {"DAQmxCreateCOPulseChanTime": create_pulse_channel}

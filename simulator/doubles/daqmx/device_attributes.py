@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from types import MappingProxyType
 
 from simulator.doubles.chassis.boards import terminals
 from simulator.doubles.daqmx.attribute_lookup import listed, look_up
@@ -58,10 +57,8 @@ def get_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
     return look_up(_CALIBRATION, arguments, "CalInfo", bench.devices.find(arguments["device_name"]))
 
 
-HANDLERS: Mapping[str, Handler] = MappingProxyType(
-    {
-        "DAQmxGetSystemInfoAttribute": get_system,
-        "DAQmxGetDeviceAttribute": get_device,
-        "DAQmxGetCalInfoAttribute": get_calibration,
-    }
-)
+HANDLERS: Mapping[str, Handler] = {
+    "DAQmxGetSystemInfoAttribute": get_system,
+    "DAQmxGetDeviceAttribute": get_device,
+    "DAQmxGetCalInfoAttribute": get_calibration,
+}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from types import MappingProxyType
 
 from simulator.doubles.chassis.boards import terminal_of_line
 from simulator.doubles.daqmx import tasks
@@ -12,7 +11,6 @@ from simulator.doubles.daqmx.devices import Device
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler
 from simulator.doubles.vendor_api import statuses
 from simulator.doubles.vendor_api.statuses import Status
-from simulator.doubles.vendor_api.wire import names_of
 
 POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE = 10192, 10214, 10310
 
@@ -70,7 +68,7 @@ def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> An
 def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
     known = {f"{device.name}/{line}".casefold(): line for line in device.kind.digital_lines}
     found = []
-    for name in names_of(names):
+    for name in names.splitlines():
         if name.strip().lstrip("/").casefold() not in known:
             raise Status(statuses.NO_SUCH_PHYSICAL_CHANNEL, f"Physical Channel: {name}")
         found.append(known[name.strip().lstrip("/").casefold()])
@@ -102,12 +100,10 @@ def unplug(bench: Bench, serial_number: int) -> None:
     bench.changed.notify_all()
 
 
-HANDLERS: Mapping[str, Handler] = MappingProxyType(
-    {
-        "DAQmxResetDevice": reset,
-        "DAQmxSelfCal": self_calibrate,
-        "DAQmxGetSelfCalLastDateAndTime": last_self_calibration,
-        "DAQmxSetDigitalPowerUpStates": set_power_up_states,
-        "DAQmxGetDigitalPowerUpStates": get_power_up_states,
-    }
-)
+HANDLERS: Mapping[str, Handler] = {
+    "DAQmxResetDevice": reset,
+    "DAQmxSelfCal": self_calibrate,
+    "DAQmxGetSelfCalLastDateAndTime": last_self_calibration,
+    "DAQmxSetDigitalPowerUpStates": set_power_up_states,
+    "DAQmxGetDigitalPowerUpStates": get_power_up_states,
+}

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from simulator.doubles.vendor_api.statuses import RESERVED_BY_OTHER_PROCESS, RESERVED_BY_OTHER_TASK, Status
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -39,7 +40,11 @@ class Reservations:
         for resource in wanted:
             other = self._held.get(resource, holder)
             if other != holder:
-                code = RESERVED_BY_OTHER_TASK if other.client == holder.client else RESERVED_BY_OTHER_PROCESS
+                code = (
+                    statuses.RESERVED_BY_OTHER_TASK
+                    if other.client == holder.client
+                    else statuses.RESERVED_BY_OTHER_PROCESS
+                )
                 raise Status(
                     code, f"{resource} is reserved by task {other.task} of {other.client}.", task=holder.task
                 )

@@ -3,21 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 from simulator.doubles.chassis.boards import terminals
 from simulator.doubles.daqmx import tasks
 from simulator.doubles.daqmx.tasks import Arguments, Bench, Handler, Task, TaskHandler, TaskState
-from simulator.doubles.vendor_api.statuses import (
-    INVALID_DESTINATION_TERMINAL,
-    INVALID_SOURCE_TERMINAL,
-    INVALID_VALUE,
-    NO_TRIGGER_LINE,
-    ROUTE_IN_USE,
-    ROUTE_NOT_SUPPORTED,
-    TERMINAL_IN_USE,
-    Status,
-)
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status
 
 DIGITAL_EDGE = 10150
 RISING, FALLING = 10280, 10171
@@ -84,7 +75,9 @@ def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> N
         bench.devices.find(device)
     if not _known(bench, source):
         raise Status(
-            INVALID_VALUE, f"Property: DigEdge.StartTrig.Src\nRequested Value: {source}", task=task.name
+            statuses.INVALID_VALUE,
+            f"Property: DigEdge.StartTrig.Src\nRequested Value: {source}",
+            task=task.name,
         )
     task.settings |= {
         "StartTrig.Type": DIGITAL_EDGE,
@@ -107,10 +100,12 @@ def require_start_route(bench: Bench, task: Task) -> None:
     source, device = bench.devices.find(name), task.device
     if source is device:
         if int(end.removeprefix("ctr").removesuffix(INTERNAL_OUTPUT)) not in device.kind.starting_counters:
-            raise Status(ROUTE_NOT_SUPPORTED, f"Source Terminal: {start_trigger_of(task)}", task=task.name)
+            raise Status(
+                statuses.ROUTE_NOT_SUPPORTED, f"Source Terminal: {start_trigger_of(task)}", task=task.name
+            )
     elif "slot" not in name or _chassis(name) != _chassis(device.name):
         between = f"Source Device: {source.name}\nDestination Device: {device.name}"
-        raise Status(NO_TRIGGER_LINE, between, task=task.name)
+        raise Status(statuses.NO_TRIGGER_LINE, between, task=task.name)
 
 
 def _chassis(name: str) -> str:
@@ -128,12 +123,14 @@ def connect(bench: Bench, client: str, arguments: Arguments) -> None:
     """Answer `DAQmxConnectTerms`."""
     source, destination = arguments["source_terminal"], arguments["destination_terminal"]
     if not _known(bench, source):
-        raise Status(INVALID_SOURCE_TERMINAL, f"Source Terminal: {source}")
+        raise Status(statuses.INVALID_SOURCE_TERMINAL, f"Source Terminal: {source}")
     if not _known(bench, destination):
-        raise Status(INVALID_DESTINATION_TERMINAL, f"Destination Terminal: {destination}")
+        raise Status(statuses.INVALID_DESTINATION_TERMINAL, f"Destination Terminal: {destination}")
     other = bench.routes.get(short_name(destination))
     if other not in (None, short_name(source)):
-        raise Status(ROUTE_IN_USE, f"Destination Terminal: {destination}\nSource Terminal in use: {other}")
+        raise Status(
+            statuses.ROUTE_IN_USE, f"Destination Terminal: {destination}\nSource Terminal in use: {other}"
+        )
     bench.routes[short_name(destination)] = short_name(source)
 
 
@@ -148,9 +145,9 @@ def tristate(bench: Bench, client: str, arguments: Arguments) -> None:
     """Answer `DAQmxTristateOutputTerm`: the board stops driving a terminal that is part of no route."""
     terminal = short_name(arguments["output_terminal"])
     if not _known(bench, terminal):
-        raise Status(INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}")
+        raise Status(statuses.INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}")
     if terminal in bench.routes:
-        raise Status(TERMINAL_IN_USE, f"Terminal: {arguments['output_terminal']}")
+        raise Status(statuses.TERMINAL_IN_USE, f"Terminal: {arguments['output_terminal']}")
     name, _, pin = terminal.partition("/")
     device = bench.devices.find(name)
     for output in device.kind.counter_terminals:
@@ -164,26 +161,24 @@ def export(bench: Bench, task: Task, arguments: Arguments) -> None:
     ends = {START_TRIGGER_SIGNAL: "StartTrigger", REFERENCE_TRIGGER_SIGNAL: "ReferenceTrigger"}
     signal = arguments["signal_id"]
     if signal not in ends or task.kind != "ai":
-        raise Status(INVALID_VALUE, f"Signal: {signal}\nYou Can Select: {sorted(ends)}", task=task.name)
+        raise Status(
+            statuses.INVALID_VALUE, f"Signal: {signal}\nYou Can Select: {sorted(ends)}", task=task.name
+        )
     if not _known(bench, arguments["output_terminal"]):
         raise Status(
-            INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}", task=task.name
+            statuses.INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}", task=task.name
         )
     source = f"{task.device.name}/ai/{ends[signal]}"
     bench.routes[short_name(arguments["output_terminal"])] = short_name(source)
 
 
-HANDLERS: Mapping[str, Handler] = MappingProxyType(
-    {
-        "DAQmxConnectTerms": connect,
-        "DAQmxDisconnectTerms": disconnect,
-        "DAQmxTristateOutputTerm": tristate,
-    }
-)
-TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
-    {
-        "DAQmxCfgDigEdgeStartTrig": configure_start_trigger,
-        "DAQmxDisableStartTrig": disable_start_trigger,
-        "DAQmxExportSignal": export,
-    }
-)
+HANDLERS: Mapping[str, Handler] = {
+    "DAQmxConnectTerms": connect,
+    "DAQmxDisconnectTerms": disconnect,
+    "DAQmxTristateOutputTerm": tristate,
+}
+TASK_HANDLERS: Mapping[str, TaskHandler] = {
+    "DAQmxCfgDigEdgeStartTrig": configure_start_trigger,
+    "DAQmxDisableStartTrig": disable_start_trigger,
+    "DAQmxExportSignal": export,
+}

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from types import MappingProxyType
 
 from simulator.doubles.daqmx import analog_input, tasks
 from simulator.doubles.daqmx.attribute_lookup import look_up, settable
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Task, TaskHandler, TaskState
-from simulator.doubles.vendor_api.statuses import (
-    ATTRIBUTE_NOT_IN_THIS_TASK,
-    PROPERTY_NEEDS_RESERVED_TASK,
-    Status,
-)
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status
 
 SAMPLE_PERIODS = 10286
 
@@ -63,7 +59,9 @@ def _get(family: str, values: Values, bench: Bench, task: Task, arguments: Argum
     if family != "Task":
         _require_channels(task)
     if family == "Timing" and task.kind == "co":
-        raise Status(ATTRIBUTE_NOT_IN_THIS_TASK, "A counter's pulses have no sample clock.", task=task.name)
+        raise Status(
+            statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "A counter's pulses have no sample clock.", task=task.name
+        )
     return look_up(values, arguments, family, task)
 
 
@@ -77,31 +75,29 @@ def _set(family: str, bench: Bench, task: Task, arguments: Arguments) -> None:
 
 def _require_channels(task: Task) -> None:
     if task.kind not in ("ai", "co"):
-        raise Status(ATTRIBUTE_NOT_IN_THIS_TASK, "The task has no channels.", task=task.name)
+        raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task has no channels.", task=task.name)
 
 
 def _has_expired(task: Task) -> int:
     if task.state < TaskState.RESERVED:
-        raise Status(PROPERTY_NEEDS_RESERVED_TASK, "Property: Watchdog.HasExpired", task=task.name)
+        raise Status(statuses.PROPERTY_NEEDS_RESERVED_TASK, "Property: Watchdog.HasExpired", task=task.name)
     return int(task.run is not None and task.run.expired_ns is not None)
 
 
 def get_watchdog(bench: Bench, task: Task, arguments: Arguments) -> Answer:
     """Answer `DAQmxGetWatchdogAttribute`."""
     if task.kind != "watchdog":
-        raise Status(ATTRIBUTE_NOT_IN_THIS_TASK, "The task is no watchdog.", task=task.name)
+        raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task is no watchdog.", task=task.name)
     bench.settle()
     return look_up({"Watchdog.HasExpired": _has_expired}, arguments, "Watchdog", task)
 
 
-TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
-    {
-        "DAQmxGetTaskAttribute": partial(_get, "Task", _TASK),
-        "DAQmxGetTimingAttribute": partial(_get, "Timing", _TIMING),
-        "DAQmxSetTimingAttribute": partial(_set, "Timing"),
-        "DAQmxGetTrigAttribute": partial(_get, "Trig", _TRIGGER),
-        "DAQmxSetTrigAttribute": partial(_set, "Trig"),
-        "DAQmxGetReadAttribute": partial(_get, "Read", _READING),
-        "DAQmxGetWatchdogAttribute": get_watchdog,
-    }
-)
+TASK_HANDLERS: Mapping[str, TaskHandler] = {
+    "DAQmxGetTaskAttribute": partial(_get, "Task", _TASK),
+    "DAQmxGetTimingAttribute": partial(_get, "Timing", _TIMING),
+    "DAQmxSetTimingAttribute": partial(_set, "Timing"),
+    "DAQmxGetTrigAttribute": partial(_get, "Trig", _TRIGGER),
+    "DAQmxSetTrigAttribute": partial(_set, "Trig"),
+    "DAQmxGetReadAttribute": partial(_get, "Read", _READING),
+    "DAQmxGetWatchdogAttribute": get_watchdog,
+}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 from simulator.doubles.daqmx import tasks
 from simulator.doubles.daqmx.tasks import Answer, Arguments, Bench, Handler, Task, TaskHandler
-from simulator.doubles.vendor_api.statuses import NOT_DONE_IN_TIME, TEXTS, Status
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import Status
 
 
 def _set_runtime_environment(bench: Bench, client: str, arguments: Arguments) -> None:
@@ -16,7 +16,7 @@ def _set_runtime_environment(bench: Bench, client: str, arguments: Arguments) ->
 
 def _error_string(bench: Bench, client: str, arguments: Arguments) -> Answer:
     code = arguments["error_code"]
-    return {"error_string": TEXTS.get(code, f"Status {code} is not one of the double's own.")}
+    return {"error_string": statuses.TEXTS.get(code, f"Status {code} is not one of the double's own.")}
 
 
 def _create_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
@@ -50,24 +50,20 @@ def _stop(bench: Bench, task: Task, arguments: Arguments) -> None:
 
 def _wait_until_done(bench: Bench, task: Task, arguments: Arguments) -> None:
     timeout_s = arguments["time_to_wait"]
-    late = Status(NOT_DONE_IN_TIME, f"Time to wait: {timeout_s} s", task=task.name)
+    late = Status(statuses.NOT_DONE_IN_TIME, f"Time to wait: {timeout_s} s", task=task.name)
     tasks.wait(bench, task, timeout_s, late)
 
 
-HANDLERS: Mapping[str, Handler] = MappingProxyType(
-    {
-        "DAQmxSetRuntimeEnvironment": _set_runtime_environment,
-        "DAQmxGetErrorString": _error_string,
-        "DAQmxCreateTask": _create_task,
-        "DAQmxClearTask": _clear_task,
-        "DAQmxInternalGetLastCreatedChan": _last_created_channel,
-    }
-)
-TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
-    {
-        "DAQmxTaskControl": _control,
-        "DAQmxStartTask": _start,
-        "DAQmxStopTask": _stop,
-        "DAQmxWaitUntilTaskDone": _wait_until_done,
-    }
-)
+HANDLERS: Mapping[str, Handler] = {
+    "DAQmxSetRuntimeEnvironment": _set_runtime_environment,
+    "DAQmxGetErrorString": _error_string,
+    "DAQmxCreateTask": _create_task,
+    "DAQmxClearTask": _clear_task,
+    "DAQmxInternalGetLastCreatedChan": _last_created_channel,
+}
+TASK_HANDLERS: Mapping[str, TaskHandler] = {
+    "DAQmxTaskControl": _control,
+    "DAQmxStartTask": _start,
+    "DAQmxStopTask": _stop,
+    "DAQmxWaitUntilTaskDone": _wait_until_done,
+}

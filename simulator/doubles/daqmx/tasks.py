@@ -20,7 +20,7 @@ from simulator.doubles.daqmx.lines import LineRecord
 from simulator.doubles.daqmx.reservations import Holder, Reservations
 from simulator.doubles.daqmx.strikes import Strikes
 from simulator.doubles.vendor_api import statuses
-from simulator.doubles.vendor_api.statuses import RUNNING, Status
+from simulator.doubles.vendor_api.statuses import Status
 
 
 class TaskState(IntEnum):
@@ -136,7 +136,7 @@ class Task:
     def require_not_running(self) -> None:
         """Raise -200479 while the task runs."""
         if self.state is TaskState.RUNNING:
-            raise Status(RUNNING, task=self.name)
+            raise Status(statuses.RUNNING, task=self.name)
 
 
 class TaskKind(Protocol):

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 from hardware_drivers.nanoseconds import NS_PER_S
 from simulator.doubles.chassis.boards import terminal_of_line
@@ -158,10 +157,8 @@ def control_watchdog(bench: Bench, task: Task, arguments: Arguments) -> None:
         raise Status(statuses.INVALID_VALUE, f"Watchdog action {action}.", task=task.name)
 
 
-HANDLERS: Mapping[str, Handler] = MappingProxyType({"DAQmxCreateWatchdogTimerTaskEx": create_watchdog})
-TASK_HANDLERS: Mapping[str, TaskHandler] = MappingProxyType(
-    {
-        "DAQmxCfgWatchdogDOExpirStates": configure_expiration,
-        "DAQmxControlWatchdogTask": control_watchdog,
-    }
-)
+HANDLERS: Mapping[str, Handler] = {"DAQmxCreateWatchdogTimerTaskEx": create_watchdog}
+TASK_HANDLERS: Mapping[str, TaskHandler] = {
+    "DAQmxCfgWatchdogDOExpirStates": configure_expiration,
+    "DAQmxControlWatchdogTask": control_watchdog,
+}

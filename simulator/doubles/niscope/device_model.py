@@ -33,8 +33,8 @@ from simulator.doubles.niscope.session import (
     channels_of,
     require_idle,
 )
-from simulator.doubles.vendor_api import niscope_statuses
-from simulator.doubles.vendor_api.statuses import Status
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import ScopeStatus, Status
 from simulator.specimen import Specimen
 
 SELF_CALIBRATION = 1
@@ -138,11 +138,11 @@ class NiscopeBrain:
             return self._open(client, arguments["resource_name"])
         if name == "error_message":
             code = arguments["error_code"]
-            return {"error_message": niscope_statuses.MESSAGES.get(code, f"Unknown status {code}.")}
+            return {"error_message": statuses.TEXTS.get(code, f"Unknown status {code}.")}
         with self._changed:
             session = self._sessions.get(arguments["vi"])
         if session is None:
-            raise niscope_statuses.ScopeStatus(niscope_statuses.INVALID_SESSION, str(arguments["vi"]))
+            raise ScopeStatus(statuses.SCOPE_INVALID_SESSION, str(arguments["vi"]))
         if name == "GetError":
             code, description = session.last_error
             return {"error_code": code, "description": description}
@@ -158,11 +158,11 @@ class NiscopeBrain:
         with self._changed:
             board = self._boards.get(resource)
             if board is None:
-                raise niscope_statuses.ScopeStatus(niscope_statuses.UNKNOWN_RESOURCE, repr(resource))
+                raise ScopeStatus(statuses.SCOPE_UNKNOWN_RESOURCE, repr(resource))
             owners = [session.client for session in self._sessions.values() if session.board == board]
             owner = self._foreign_owners.get(resource, "") or next(iter(owners), "")
             if owner:
-                raise niscope_statuses.ScopeStatus(niscope_statuses.ALREADY_IN_USE, f"owner: {owner}")
+                raise ScopeStatus(statuses.SCOPE_ALREADY_IN_USE, f"owner: {owner}")
             handle, self._next_handle = self._next_handle, self._next_handle + 1
             channels = {str(number): Channel() for number in range(board.channels)}
             self._sessions[handle] = Session(handle=handle, client=client, board=board, channels=channels)
@@ -199,7 +199,7 @@ class NiscopeBrain:
         require_idle(session)
         self._require_present(session)
         if not any(channel.enabled for channel in session.channels.values()):
-            raise niscope_statuses.ScopeStatus(niscope_statuses.CHANNEL_NOT_ENABLED)
+            raise ScopeStatus(statuses.SCOPE_CHANNEL_NOT_ENABLED)
         session.acquisition = self._pulsers.begin(session, self._monotonic_s())
 
     def _abort(self, session: Session, _: Arguments) -> None:
@@ -218,14 +218,14 @@ class NiscopeBrain:
         """Wait for the records and return them, one channel after the other within a record."""
         running = session.acquisition
         if running is None:
-            raise niscope_statuses.ScopeStatus(niscope_statuses.INITIATE_NOT_CALLED)
+            raise ScopeStatus(statuses.SCOPE_INITIATE_NOT_CALLED)
         self._wait_until_done(session, running, arguments["timeout"])
         channels = channels_of(session, arguments)
         if not all(channel.enabled for _, channel in channels):
-            raise niscope_statuses.ScopeStatus(niscope_statuses.CHANNEL_NOT_ENABLED)
+            raise ScopeStatus(statuses.SCOPE_CHANNEL_NOT_ENABLED)
         wanted, count = arguments["num_samples"], self._waveform_count(session, arguments)["num_wfms"]
         if wanted < 0 or session.fetch[FETCH_RELATIVE_TO] != PRETRIGGER or session.fetch[FETCH_OFFSET] != 0:
-            raise niscope_statuses.ScopeStatus(niscope_statuses.INVALID_FETCH_PARAMETERS)
+            raise ScopeStatus(statuses.SCOPE_INVALID_FETCH_PARAMETERS)
         first = session.fetch[FETCH_RECORD] * len(channels)
         fetched = [
             self._pulsers.waveform(
@@ -242,7 +242,7 @@ class NiscopeBrain:
             "wfm_info": np.frombuffer(b"".join(one.info for one in fetched), dtype=np.uint8),
         }
         if any(one.overloaded for one in fetched):
-            raise niscope_statuses.ScopeStatus(niscope_statuses.ADC_OVERLOAD_WARNING, values=answer)
+            raise ScopeStatus(statuses.SCOPE_ADC_OVERLOAD_WARNING, values=answer)
         return answer
 
     def _wait_until_done(self, session: Session, running: Acquisition, timeout_s: float) -> None:
@@ -251,18 +251,14 @@ class NiscopeBrain:
             while True:
                 self._require_present(session)
                 if self._sessions.get(session.handle) is not session:
-                    raise niscope_statuses.ScopeStatus(niscope_statuses.INVALID_SESSION)
+                    raise ScopeStatus(statuses.SCOPE_INVALID_SESSION)
                 if session.acquisition is not running:
-                    raise niscope_statuses.ScopeStatus(
-                        niscope_statuses.INITIATE_NOT_CALLED, "the acquisition was aborted"
-                    )
+                    raise ScopeStatus(statuses.SCOPE_INITIATE_NOT_CALLED, "the acquisition was aborted")
                 now_s = self._monotonic_s()
                 if now_s >= running.done_s:
                     return
                 if now_s >= deadline_s:
-                    raise niscope_statuses.ScopeStatus(
-                        niscope_statuses.MAX_TIME_EXCEEDED, f"Timeout: {timeout_s} s"
-                    )
+                    raise ScopeStatus(statuses.SCOPE_MAX_TIME_EXCEEDED, f"Timeout: {timeout_s} s")
                 self._changed.wait(min(running.done_s, deadline_s) - now_s)
 
     # Calibration
@@ -284,8 +280,8 @@ class NiscopeBrain:
 
     def _require_present(self, session: Session) -> None:
         if session.board not in self._boards.values():
-            raise niscope_statuses.ScopeStatus(
-                niscope_statuses.HARDWARE_FAILURE, f"{session.board.name} is not in the system any more"
+            raise ScopeStatus(
+                statuses.SCOPE_HARDWARE_FAILURE, f"{session.board.name} is not in the system any more"
             )
 
 

@@ -16,9 +16,12 @@ from simulator.doubles.chassis.description import ProbeWiring
 from simulator.doubles.chassis.scopes import ScopeParameters
 from simulator.doubles.niscope.records import RecordShape, single_records
 from simulator.doubles.niscope.session import Acquisition, Channel, Session
-from simulator.doubles.vendor_api.niscope_entry_points import WAVEFORM_INFO
 from simulator.electronics.transduction import counts_of
 from simulator.specimen import Specimen
+
+WAVEFORM_INFO = "<dddi4xdddd"
+"""`struct` layout of one ``niScope_wfmInfo``: absolute and relative initial x, x increment, actual samples,
+offset, gain, two reserved."""
 
 NextEcho = Callable[[str], tuple[ShotKey, float]]
 """Which shot and hour the next acquisition at a position is."""

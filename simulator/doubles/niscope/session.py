@@ -11,14 +11,8 @@ from numpy.typing import NDArray
 
 from simulator.doubles.chassis.scopes import SAMPLE_BITS, ScopeParameters
 from simulator.doubles.niscope.records import RecordShape
-from simulator.doubles.vendor_api.niscope_statuses import (
-    ACQUISITION_IN_PROGRESS,
-    ATTRIBUTE_NOT_SUPPORTED,
-    INSUFFICIENT_MEMORY,
-    INVALID_VALUE,
-    UNKNOWN_CHANNEL,
-    ScopeStatus,
-)
+from simulator.doubles.vendor_api import statuses
+from simulator.doubles.vendor_api.statuses import ScopeStatus
 
 FETCH_RELATIVE_TO, FETCH_OFFSET, FETCH_RECORD, FETCH_RECORDS = 1150077, 1150078, 1150079, 1150080
 PRETRIGGER = 477
@@ -92,7 +86,7 @@ _CHANNEL_VALUES: Mapping[int, str] = {
 def require_idle(session: Session) -> None:
     """Raise a status while an acquisition runs."""
     if session.acquisition is not None:
-        raise ScopeStatus(ACQUISITION_IN_PROGRESS)
+        raise ScopeStatus(statuses.SCOPE_ACQUISITION_IN_PROGRESS)
 
 
 def get_attribute(session: Session, arguments: Arguments) -> Answer:
@@ -105,9 +99,9 @@ def get_attribute(session: Session, arguments: Arguments) -> Answer:
     if number in _CHANNEL_VALUES:
         values = {getattr(channel, _CHANNEL_VALUES[number]) for _, channel in channels_of(session, arguments)}
         if len(values) != 1:
-            raise ScopeStatus(INVALID_VALUE, "the channels differ; ask for one of them")
+            raise ScopeStatus(statuses.SCOPE_INVALID_VALUE, "the channels differ; ask for one of them")
         return {"value": values.pop()}
-    raise ScopeStatus(ATTRIBUTE_NOT_SUPPORTED, f"attribute {number}")
+    raise ScopeStatus(statuses.SCOPE_ATTRIBUTE_NOT_SUPPORTED, f"attribute {number}")
 
 
 def set_attribute(session: Session, arguments: Arguments) -> None:
@@ -122,7 +116,7 @@ def set_attribute(session: Session, arguments: Arguments) -> None:
             name = _CHANNEL_VALUES[number]
             setattr(channel, name, type(getattr(channel, name))(value))
         return
-    raise ScopeStatus(ATTRIBUTE_NOT_SUPPORTED, f"attribute {number}")
+    raise ScopeStatus(statuses.SCOPE_ATTRIBUTE_NOT_SUPPORTED, f"attribute {number}")
 
 
 def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Channel]]:
@@ -130,7 +124,7 @@ def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Chann
     wanted = [name.strip() for name in arguments["channel_list"].split(",") if name.strip()]
     for name in wanted:
         if name not in session.channels:
-            raise ScopeStatus(UNKNOWN_CHANNEL, repr(name))
+            raise ScopeStatus(statuses.SCOPE_UNKNOWN_CHANNEL, repr(name))
     return [(name, session.channels[name]) for name in wanted or session.channels]
 
 
@@ -140,7 +134,7 @@ def channel_names(session: Session, arguments: Arguments) -> Answer:
     try:
         return {"names": ",".join(names[int(index)] for index in arguments["indices"].split(","))}
     except (ValueError, IndexError):
-        raise ScopeStatus(INVALID_VALUE, f"indices {arguments['indices']!r}") from None
+        raise ScopeStatus(statuses.SCOPE_INVALID_VALUE, f"indices {arguments['indices']!r}") from None
 
 
 def configure_vertical(session: Session, arguments: Arguments) -> None:
@@ -148,7 +142,7 @@ def configure_vertical(session: Session, arguments: Arguments) -> None:
     require_idle(session)
     range_v = session.board.next_range_v(0.5 * arguments["range"])
     if range_v is None:
-        raise ScopeStatus(INVALID_VALUE, f"vertical range {arguments['range']} V")
+        raise ScopeStatus(statuses.SCOPE_INVALID_VALUE, f"vertical range {arguments['range']} V")
     for _, channel in channels_of(session, arguments):
         channel.range_pp_v = 2.0 * range_v
         channel.offset_v = arguments["offset"]
@@ -159,7 +153,7 @@ def configure_input(session: Session, arguments: Arguments) -> None:
     """Set the impedance of inputs."""
     require_idle(session)
     if arguments["input_impedance"] not in (50.0, 1e6):
-        raise ScopeStatus(INVALID_VALUE, f"input impedance {arguments['input_impedance']} ohm")
+        raise ScopeStatus(statuses.SCOPE_INVALID_VALUE, f"input impedance {arguments['input_impedance']} ohm")
     for _, channel in channels_of(session, arguments):
         channel.input_impedance_ohm = arguments["input_impedance"]
 
@@ -170,9 +164,9 @@ def configure_horizontal_timing(session: Session, arguments: Arguments) -> None:
     rate_hz = session.board.next_rate_hz(arguments["min_sample_rate"])
     samples, records = arguments["min_num_pts"], arguments["num_records"]
     if rate_hz is None or samples < 1 or records < 1 or not 0.0 <= arguments["ref_position"] <= 100.0:
-        raise ScopeStatus(INVALID_VALUE, "horizontal timing")
+        raise ScopeStatus(statuses.SCOPE_INVALID_VALUE, "horizontal timing")
     if samples * records > session.board.memory_samples:
-        raise ScopeStatus(INSUFFICIENT_MEMORY, f"{records} records of {samples} samples")
+        raise ScopeStatus(statuses.SCOPE_INSUFFICIENT_MEMORY, f"{records} records of {samples} samples")
     session.rate_hz, session.samples, session.records = rate_hz, samples, records
 
 

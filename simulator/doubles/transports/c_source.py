@@ -3,86 +3,49 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterable
 from importlib.resources import files
 
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES, Attribute
-from simulator.doubles.vendor_api.entry_points import FLOAT64, HANDLE, EntryPoint, Parameter, Role, Tail
-from simulator.doubles.vendor_api.table import of_library
+from simulator.doubles.vendor_api.entry_points import (
+    ENTRY_POINTS,
+    HANDLE,
+    PACKED,
+    EntryPoint,
+    Parameter,
+    Role,
+    Tail,
+)
 
 
 def library_source(library: str) -> str:
     """Return the source of one shared library: the common part, then one function per entry."""
     shared = files("simulator.doubles.transports").joinpath("transport.c").read_text(encoding="utf-8")
-    functions = [_function(entry) for entry in of_library(library)]
-    return "\n".join([shared, _attribute_kinds(ATTRIBUTES.values()), *functions])
+    functions = [_function(entry) for entry in ENTRY_POINTS.values() if entry.library == library]
+    return "\n".join([shared, _attribute_kinds(), *functions])
 
 
-def _attribute_kinds(attributes: Iterable[Attribute]) -> str:
-    cases = [f"    case {entry.number}: return {_kind(entry)};" for entry in attributes]
-    return "\n".join(
-        [
-            "static int attribute_kind(int32_t attribute) {",
-            "    switch (attribute) {",
-            *cases,
-            "    default: return KIND_UNKNOWN;",
-            "    }",
-            "}",
-            "",
-        ]
-    )
+def _attribute_kinds() -> str:
+    cases = [f"    case {entry.number}: return {_kind(entry)};" for entry in ATTRIBUTES.values()]
+    head = "static int attribute_kind(int32_t attribute) {\n    switch (attribute) {"
+    return "\n".join([head, *cases, "    default: return KIND_UNKNOWN;", "    }", "}", ""])
 
 
 def _kind(attribute: Attribute) -> str:
-    if attribute.scalar is None:
+    if attribute.c_type == "char":
         return "KIND_TEXT"
-    width = struct.calcsize("<" + attribute.scalar.packed)
+    width = struct.calcsize(PACKED[attribute.c_type])
     if attribute.is_array:
         return str(-width)
-    return "KIND_FLOAT64" if attribute.scalar is FLOAT64 else str(width)
+    return "KIND_FLOAT64" if attribute.c_type == "double" else str(width)
 
 
 def _function(entry: EntryPoint) -> str:
-    declared = [_declaration(parameter) for parameter in entry.parameters]
-    if entry.tail is not Tail.NONE:
-        declared.append("...")
-    head = f"int32_t {entry.name}({', '.join(declared) or 'void'}) {{"
-    body = _local_body(entry) if entry.local else _remote_body(entry)
-    return "\n".join([head, *(f"    {statement}" for statement in body), "}", ""])
-
-
-def _declaration(parameter: Parameter) -> str:
-    match parameter.role:
-        case Role.VALUE:
-            return f"{parameter.scalar.c_type} {parameter.name}"
-        case Role.TEXT:
-            return f"const char *{parameter.name}"
-        case Role.ARRAY:
-            return f"const {parameter.scalar.c_type} *{parameter.name}"
-        case Role.OUT_TEXT:
-            return f"char *{parameter.name}"
-        case Role.UNUSED:
-            return f"void *{parameter.name}"
-    return f"{parameter.scalar.c_type} *{parameter.name}"
-
-
-def _local_body(entry: EntryPoint) -> list[str]:
-    """Return the body of an entry without a call.
-
-    The library keeps only the last error, one per thread, as NI's.
-    """
-    (text,) = (parameter for parameter in entry.parameters if parameter.role is Role.OUT_TEXT)
-    return [f"return fill_text(0, error_text, strlen(error_text), {text.name}, (uint32_t){text.size});"]
-
-
-def _remote_body(entry: EntryPoint) -> list[str]:
-    last = entry.parameters[-1].name if entry.parameters else ""
+    lines = [f"int32_t {entry.name}({entry.declared}) {{", "struct message message;", "int32_t status;"]
     variadic = entry.tail is not Tail.NONE
-    lines = ["struct message message;", "int32_t status;"]
     if variadic:
-        lines += ["va_list tail;", f"va_start(tail, {last});"]
+        lines += ["va_list tail;", f"va_start(tail, {entry.parameters[-1].name});"]
     lines.append(f'begin(&message, "{entry.name}");')
-    lines += [_put(parameter) for parameter in entry.parameters if _is_input(parameter)]
+    lines += [_put(parameter) for parameter in entry.parameters if parameter.goes_in]
     if entry.tail is Tail.SET_ATTRIBUTE:
         lines.append("put_attribute(&message, attribute, tail);")
     if entry.tail in (Tail.SET_STATES, Tail.GET_STATES):
@@ -99,11 +62,7 @@ def _remote_body(entry: EntryPoint) -> list[str]:
         lines.append("take_states(&message, tail);")
     if variadic:
         lines.append("va_end(tail);")
-    return [*lines, "free(message.bytes);", "return status;"]
-
-
-def _is_input(parameter: Parameter) -> bool:
-    return not parameter.goes_out and parameter.role is not Role.UNUSED
+    return "\n    ".join([*lines, "free(message.bytes);", "return status;"]) + "\n}\n"
 
 
 def _put(parameter: Parameter) -> str:
@@ -112,7 +71,7 @@ def _put(parameter: Parameter) -> str:
         return f"put_text(&message, {name});"
     if parameter.role is Role.ARRAY:
         return f"put_array(&message, {name}, (uint32_t){parameter.size}, sizeof *{name});"
-    if parameter.scalar is HANDLE:
+    if parameter.c_type == HANDLE:
         return f"{{ uint64_t number = (uint64_t)(uintptr_t){name}; put(&message, &number, sizeof number); }}"
     return f"put(&message, &{name}, sizeof {name});"
 
@@ -123,7 +82,7 @@ def _take(parameter: Parameter) -> str:
         return f"status = take_text(&message, status, {name}, (uint32_t){parameter.size});"
     if parameter.role is Role.OUT_ARRAY:
         return f"take_array(&message, {name}, (uint32_t){parameter.size}, sizeof *{name});"
-    if parameter.scalar is HANDLE:
+    if parameter.c_type == HANDLE:
         return (
             f"{{ uint64_t number = (uint64_t)(uintptr_t)*{name}; take(&message, &number, sizeof number); "
             f"*{name} = (void *)(uintptr_t)number; }}"

@@ -22,7 +22,15 @@ from typing import Any
 import numpy as np
 
 from simulator.doubles.errors import DoublesError
-from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, HANDLE, EntryPoint, Parameter, Role, Tail
+from simulator.doubles.vendor_api.entry_points import (
+    ENTRY_POINTS,
+    HANDLE,
+    PACKED,
+    EntryPoint,
+    Parameter,
+    Role,
+    Tail,
+)
 from simulator.doubles.vendor_api.statuses import Status
 
 SERVICE = "nidaqmx_grpc.NiDAQmx"
@@ -104,22 +112,21 @@ def entry_of(method: str) -> EntryPoint | None:
     """Return the entry point of a method: itself, or the variadic one of a typed attribute method."""
     attribute = _ATTRIBUTE_METHOD.match(method)
     name = f"DAQmx{attribute[1]}{attribute[2]}Attribute" if attribute else f"DAQmx{method}"
-    entry = ENTRY_POINTS.get(name)
-    return None if entry is None or entry.local else entry
+    return ENTRY_POINTS.get(name)
 
 
 def arguments_of(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[str, Any]:
     """Return the arguments of a call from the fields of its request."""
     arguments: dict[str, Any] = {}
     for parameter in entry.parameters:
-        if parameter.goes_out or parameter.role is Role.UNUSED:
+        if not parameter.goes_in:
             continue
-        if parameter.scalar is HANDLE:
+        if parameter.c_type == HANDLE:
             arguments[parameter.name] = sessions.handle(request.task.name)
         elif _is_room(parameter, entry, request):
             arguments[parameter.name] = TEXT_ROOM
         elif parameter.role is Role.ARRAY:
-            numbers = np.asarray(_field(request, parameter.name), dtype="<" + parameter.scalar.packed)
+            numbers = np.asarray(_field(request, parameter.name), dtype=PACKED[parameter.c_type])
             arguments[parameter.name], arguments[parameter.size] = numbers, numbers.size
         elif parameter.name not in arguments:
             arguments[parameter.name] = _field(request, parameter.name)
@@ -240,7 +247,7 @@ class GrpcFront:
         self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _answer(self, entry: EntryPoint, response_type: Any) -> Callable[[Any, Any], Any]:
-        opens_session = any(p.goes_out and p.scalar is HANDLE for p in entry.parameters)
+        opens_session = any(p.goes_out and p.c_type == HANDLE for p in entry.parameters)
 
         def answer(request: Any, context: Any) -> Any:
             response = response_type()

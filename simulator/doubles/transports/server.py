@@ -9,8 +9,8 @@ import struct
 import threading
 
 from simulator.doubles.device_model import Brain
-from simulator.doubles.vendor_api import wire
-from simulator.doubles.vendor_api.statuses import SOFTWARE_FAULT, Status
+from simulator.doubles.vendor_api import statuses, wire
+from simulator.doubles.vendor_api.statuses import Status
 
 log = logging.getLogger(__name__)
 
@@ -89,5 +89,5 @@ class _Connection(socketserver.BaseRequestHandler):
             except Exception as error:
                 # A fault of the double must not look like a board's: it names itself.
                 log.exception("%s failed inside the double", entry.name)
-                status, text = SOFTWARE_FAULT, f"{entry.name} failed inside the double: {error!r}"
+                status, text = statuses.SOFTWARE_FAULT, f"{entry.name} failed inside the double: {error!r}"
             wire.send_frame(connection, wire.encode_answer(entry, arguments, status, text, values))

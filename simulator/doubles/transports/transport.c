@@ -45,6 +45,8 @@ static __thread int line = -1;
 static __thread uint64_t line_generation;
 static __thread char error_text[ERROR_ROOM];
 
+typedef void *TaskHandle;
+
 struct message {
     unsigned char *bytes;
     size_t length, room, at;
@@ -330,6 +332,11 @@ static int32_t fill_text(int32_t status, const char *text, size_t length, char *
     memcpy(into, text, length);
     into[length] = '\0';
     return status;
+}
+
+/* Not sent to the brain: the library keeps the last error of each thread, as NI's. */
+int32_t DAQmxGetExtendedErrorInfo(char *error_string, uint32_t buffer_size) {
+    return fill_text(0, error_text, strlen(error_text), error_string, buffer_size);
 }
 
 static int32_t take_text(struct message *answer, int32_t status, char *into, uint32_t room) {

@@ -9,27 +9,14 @@ from __future__ import annotations
 
 import socket
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
-from simulator.doubles.vendor_api.entry_points import (
-    INT32,
-    EntryPoint,
-    Parameter,
-    Role,
-    Scalar,
-    Tail,
-    out,
-    out_array,
-    out_text,
-    value,
-)
-from simulator.doubles.vendor_api.entry_points import array as in_array
-from simulator.doubles.vendor_api.entry_points import text as in_text
-from simulator.doubles.vendor_api.table import TABLE
+from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, PACKED, EntryPoint, Parameter, Role, Tail
 
 FRAME_LIMIT = 1 << 30
 HELLO = struct.Struct("<IQ")
@@ -57,22 +44,17 @@ class Reader:
 
     def number(self, packed: str) -> Any:
         """Read one number."""
-        (number,) = struct.unpack("<" + packed, self.take(struct.calcsize("<" + packed)))
+        (number,) = struct.unpack(packed, self.take(struct.calcsize(packed)))
         return number
 
     def text(self) -> str:
         """Read a text."""
-        return bytes(self.take(self.number("I"))).decode("utf-8", errors="replace")
+        return bytes(self.take(self.number("<I"))).decode("utf-8", errors="replace")
 
-    def array(self, scalar: Scalar) -> np.ndarray[Any, Any]:
+    def array(self, packed: str) -> NDArray[Any]:
         """Read an array of numbers."""
-        count = self.number("I")
-        data = self.take(count * struct.calcsize("<" + scalar.packed))
-        return np.frombuffer(data, dtype="<" + scalar.packed).copy()
-
-
-def _number(scalar: Scalar, number: Any) -> bytes:
-    return struct.pack("<" + scalar.packed, number)
+        data = self.take(self.number("<I") * struct.calcsize(packed))
+        return np.frombuffer(data, dtype=packed).copy()
 
 
 def _text(text: str) -> bytes:
@@ -81,40 +63,31 @@ def _text(text: str) -> bytes:
     return struct.pack("<I", len(encoded)) + encoded
 
 
-def _array(scalar: Scalar, numbers: Any) -> bytes:
-    # `<u8` of a bool list and the like: let numpy convert once.
-    packed = np.ascontiguousarray(numbers, dtype="<" + scalar.packed)
-    return struct.pack("<I", packed.size) + packed.tobytes()
-
-
 def inputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
     """Return the parameters of a call.
 
     A variadic entry adds ``value``, or ``channel_names`` and ``state``.
     """
-    fixed = tuple(p for p in entry.parameters if not p.goes_out and p.role is not Role.UNUSED)
-    return fixed + _tail(entry, attribute, outgoing=False)
+    return tuple(p for p in entry.parameters if p.goes_in) + _tail_inputs(entry, attribute)
 
 
 def outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
     """Return the parameters of an answer."""
-    return tuple(p for p in entry.parameters if p.goes_out) + _tail(entry, attribute, outgoing=True)
+    tail: tuple[Parameter, ...] = ()
+    if entry.tail is Tail.GET_STATES:
+        tail = (Parameter("state", Role.OUT_ARRAY, "int32_t"),)
+    elif entry.tail is Tail.GET_ATTRIBUTE and attribute in ATTRIBUTES:
+        tail = (ATTRIBUTES[attribute].value(Role.OUT, Role.OUT_ARRAY, Role.OUT_TEXT),)
+    return tuple(p for p in entry.parameters if p.goes_out) + tail
 
 
-def _tail(entry: EntryPoint, attribute: int, *, outgoing: bool) -> tuple[Parameter, ...]:
-    if entry.tail in (Tail.SET_STATES, Tail.GET_STATES):
-        if outgoing:
-            return (out_array("state", INT32, ""),) if entry.tail is Tail.GET_STATES else ()
-        names = (in_text("channel_names"),)
-        return (*names, in_array("state", INT32, "")) if entry.tail is Tail.SET_STATES else names
-    if entry.tail is (Tail.GET_ATTRIBUTE if outgoing else Tail.SET_ATTRIBUTE) and attribute in ATTRIBUTES:
-        known = ATTRIBUTES[attribute]
-        if known.scalar is None:
-            return (out_text("value", "") if outgoing else in_text("value"),)
-        if known.is_array:
-            return ((out_array if outgoing else in_array)("value", known.scalar, ""),)
-        return ((out if outgoing else value)("value", known.scalar),)
-    return ()
+def _tail_inputs(entry: EntryPoint, attribute: int) -> tuple[Parameter, ...]:
+    if entry.tail is Tail.SET_ATTRIBUTE and attribute in ATTRIBUTES:
+        return (ATTRIBUTES[attribute].value(Role.VALUE, Role.ARRAY, Role.TEXT),)
+    names = Parameter("channel_names", Role.TEXT, "char")
+    if entry.tail is Tail.SET_STATES:
+        return names, Parameter("state", Role.ARRAY, "int32_t")
+    return (names,) if entry.tail is Tail.GET_STATES else ()
 
 
 def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
@@ -126,15 +99,12 @@ def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
         No such entry, or the body ends too soon.
     """
     reader = Reader(body)
-    name = bytes(reader.take(reader.number("H"))).decode("utf-8", errors="replace")
-    if name not in TABLE:
+    name = bytes(reader.take(reader.number("<H"))).decode("utf-8", errors="replace")
+    if name not in ENTRY_POINTS:
         raise WireError(f"no entry point {name!r}; library and brain are of different versions")
-    entry = TABLE[name]
-    arguments: dict[str, Any] = {}
-    fixed = inputs(entry)
-    for parameter in fixed:
-        arguments[parameter.name] = decode_value(parameter, reader)
-    for parameter in inputs(entry, arguments.get("attribute", 0))[len(fixed) :]:
+    entry = ENTRY_POINTS[name]
+    arguments = {p.name: decode_value(p, reader) for p in entry.parameters if p.goes_in}
+    for parameter in _tail_inputs(entry, arguments.get("attribute", 0)):
         arguments[parameter.name] = decode_value(parameter, reader)
     return entry, arguments
 
@@ -156,18 +126,20 @@ def encode_value(parameter: Parameter, content: Any) -> bytes:
     """Return the bytes of one parameter's value."""
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return _text(content)
+    packed = PACKED[parameter.c_type]
     if parameter.role in (Role.ARRAY, Role.OUT_ARRAY):
-        return _array(parameter.scalar, content)
-    return _number(parameter.scalar, content)
+        # `<u8` of a bool list and the like: let numpy convert once.
+        numbers = np.ascontiguousarray(content, dtype=packed)
+        return struct.pack("<I", numbers.size) + numbers.tobytes()
+    return struct.pack(packed, content)
 
 
 def decode_value(parameter: Parameter, reader: Reader) -> Any:
     """Read the value of one parameter from a body."""
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return reader.text()
-    if parameter.role in (Role.ARRAY, Role.OUT_ARRAY):
-        return reader.array(parameter.scalar)
-    return reader.number(parameter.scalar.packed)
+    read = reader.array if parameter.role in (Role.ARRAY, Role.OUT_ARRAY) else reader.number
+    return read(PACKED[parameter.c_type])
 
 
 def send_frame(connection: socket.socket, body: bytes) -> None:
@@ -196,8 +168,3 @@ def receive_exactly(connection: socket.socket, count: int) -> bytes | None:
         pieces.append(piece)
         count -= len(piece)
     return b"".join(pieces)
-
-
-def names_of(lines: str) -> Iterable[str]:
-    """Return the channel names of a power-up call, which are sent as one text with line feeds."""
-    return lines.split("\n") if lines else []

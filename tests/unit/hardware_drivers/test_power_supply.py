@@ -16,7 +16,7 @@ class AnsweringLine:
     """The supply's end of the line: it stores commands, and may falsify one answer."""
 
     name = "the supply"
-    connected = True
+    in_step = True
 
     def __init__(self, **lies):
         self.values = {"VOLT": 0.0, "CURR": 0.0, "OUTP": False}
@@ -104,7 +104,7 @@ class StuckLine(AnsweringLine):
     def query_flag(self, question, deadline_s, **_):
         return question == "OUTP?"
 
-    def refused(self, message):
+    def lost(self, message):
         return ConnectionLostError(message)
 
 

@@ -72,7 +72,7 @@ def test_a_wrong_reply_is_refused(line, instrument, says):
     instrument.says = f"{says}\n".encode()
     with pytest.raises(ConnectionLostError, match=r"expected V|another question|no number"):
         line.query_number("V1?", LATER_S, units=("V",), header="VP1")
-    assert not line.connected
+    assert not line.in_step
 
 
 @pytest.mark.parametrize(

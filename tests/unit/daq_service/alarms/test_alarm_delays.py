@@ -5,25 +5,14 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.invented_rows import condition
 
 from daq_service.alarms.delays import apply_delays
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.operator_actions import acknowledge
-from daq_service.alarms.states import Condition, Moment, update
+from daq_service.alarms.states import Moment, update
 from daq_service.settings.alarm_delays import DEAD_BAND_KINDS, LONGEST_DELAY_S, AlarmKindSettings
 from hardware_drivers.nanoseconds import NS_PER_S
-
-
-def condition(present, *, times_limit=None, kind="wall_change"):
-    return Condition(
-        position="B",
-        kind=kind,
-        alarm_class="damage",
-        priority="high",
-        present=present,
-        times_limit=times_limit,
-        message="3 of 5",
-    )
 
 
 def moment(at_s):

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.filled_folder import frozen_baseline
+from support.invented_rows import alarm_row
 
 from analysis.waves.features import FEATURE_NAMES
 from daq_service.alarms.evidence import FEATURES, describe_evidence, evidence_sentences
 from daq_service.alarms.guidance import GUIDANCE
-from daq_service.catalogue.rows import AlarmRow
 
 PROOFS: dict[str, dict[str, Any]] = {
     "wall_change": {
@@ -121,19 +121,7 @@ def test_each_kind_states_its_evidence(kind):
 
 
 def alarm(kind, set_index=49):
-    return AlarmRow(
-        position=None,
-        kind=kind,
-        alarm_class="damage",
-        priority="high",
-        state="unacknowledged",
-        raised_utc_ns=0,
-        raised_h=24.5,
-        raised_set_index=set_index,
-        changed_utc_ns=0,
-        message="",
-        evidence=PROOFS.get(kind, {}),
-    )
+    return alarm_row(None, kind, raised_h=24.5, raised_set_index=set_index, evidence=PROOFS.get(kind, {}))
 
 
 def test_the_last_sentence_has_time_and_version_and_the_baseline_its_name():

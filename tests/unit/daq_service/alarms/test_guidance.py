@@ -13,7 +13,7 @@ from daq_service.corrosion_drive.watch import PRIORITIES
 
 ROOT = Path(__file__).parents[4]
 HOW_TO = ROOT / "docs" / "how-to" / "my-alarm-what-now.md"
-RAISED_IN = ("alarms", "judgement", "orders")
+RAISED_IN = ("alarms", "assessment", "commands")
 
 
 def test_the_how_to_shows_the_table():

@@ -19,6 +19,7 @@ from support.archived_sets import (
     make_shot,
     other_set,
 )
+from support.damaging import flip
 from support.filed_archive import FiledArchive
 from support.stored_files import read_set, read_waveform, set_files, verify_set
 
@@ -165,12 +166,6 @@ def test_records_that_differ_in_rate_length_or_calibration_stay_together_in_one_
 def test_an_inconsistent_set_is_rejected(change, message):
     with pytest.raises(ValueError, match=message):
         replace(make_set(), **change)
-
-
-def flip(path, offset):
-    content = bytearray(path.read_bytes())
-    content[offset] ^= 0x10
-    path.write_bytes(content)
 
 
 def test_counts_changed_with_valid_hdf5_checksums_fail_their_crc(stored):

@@ -7,6 +7,7 @@ import zlib
 import h5py
 import numpy as np
 import pytest
+from support.damaging import flip
 
 from daq_service.archive.chunk import filtered_chunk, fletcher32
 from daq_service.archive.nexus import add_field, image_file, image_of, open_root
@@ -114,9 +115,7 @@ def test_a_flipped_bit_of_a_stored_plane_is_detected(tmp_path):
     path = file_with(tmp_path / "set.h5", values, (1, SAMPLES))
     with h5py.File(path) as file:
         offset = file["values"].id.get_chunk_info(0).byte_offset
-    content = bytearray(path.read_bytes())
-    content[offset + 500] ^= 1  # inside the low bytes, which are stored as they are
-    path.write_bytes(content)
+    flip(path, offset + 500)  # inside the low bytes, which are stored as they are
     with h5py.File(path) as file, pytest.raises(OSError, match=r"[Ff]letcher32|filter"):
         file["values"][()]
 

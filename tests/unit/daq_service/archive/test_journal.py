@@ -9,6 +9,8 @@ from dataclasses import replace
 import h5py
 import pytest
 from support.archived_sets import DUE_UTC_NS, SET_INDEX, counts_of, make_set, other_set
+from support.damaging import flip
+from support.filed_archive import append_set
 from support.memory_archive import bits
 
 from daq_service.archive import (
@@ -34,12 +36,6 @@ RECORDS = make_set().records
 def archive(tmp_path):
     with closing(FolderArchive(tmp_path)) as archive:
         yield archive
-
-
-def append_set(archive, record):
-    archive.begin_set(record.set_key, due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
-    for item in record.records:
-        archive.append(item, item.stamp.utc_ns)
 
 
 class FailingCall:
@@ -253,9 +249,7 @@ def test_a_group_torn_by_a_power_cut_leaves_its_set_open(archive, tmp_path):
     append_set(archive, make_set())
     archive.store_set(make_set())
     (path,) = segments(tmp_path).values()
-    content = bytearray(path.read_bytes())
-    content[content.find(RECORDS[1].waveform.counts.tobytes()) + 8] ^= 1
-    path.write_bytes(content)
+    flip(path, path.read_bytes().find(RECORDS[1].waveform.counts.tobytes()) + 8)
     with closing(FolderArchive(tmp_path)) as again:
         (opened,) = again.open_sets().values()
         assert [item.sequence for item in opened.records] == [

@@ -9,7 +9,8 @@ import h5py
 import numpy as np
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
-from support.damaging import PAGE, damaged
+from support.damaging import PAGE, damaged, flip
+from support.filed_archive import append_set
 from support.memory_archive import bits
 
 from daq_service.archive import FolderArchive
@@ -90,15 +91,6 @@ def test_a_different_compression_library_is_no_corruption(path, image):
 # The journal ---------------------------------------------------------------------------------------
 
 
-def append_set(archive, record):
-    archive.begin_set(
-        record.set_key, due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
-    )
-    for item in record.records:
-        archive.append(item, item.stamp.utc_ns)
-    archive.sync()
-
-
 @pytest.fixture
 def journal(tmp_path):
     """Return a folder with a complete and an open set."""
@@ -106,7 +98,16 @@ def journal(tmp_path):
         append_set(archive, make_set())
         archive.store_set(make_set())
         append_set(archive, other_set(make_set(), SET_INDEX + 1))
+        archive.sync()
     return tmp_path
+
+
+def flip_frame(folder, sequence, *, in_header=False):
+    """Flip a bit of the frame of a record; return the frame."""
+    path = segment_path(folder, 1)
+    frame = next(item for item in frame_format.frames(path.read_bytes()) if item.sequence == sequence)
+    flip(path, frame.start + 8 if in_header else frame.end - 1)
+    return frame
 
 
 def parse_line(folder):
@@ -146,27 +147,17 @@ def test_a_corrupt_segment_is_reported_or_reads_unchanged(journal, numbers):
 
 
 def test_a_corrupt_frame_is_reported_with_its_shot_and_the_others_are_read(journal):
-    path = segment_path(journal, 1)
-    content = bytearray(path.read_bytes())
-    shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 42)
-    content[shot.end - 1] ^= 1
-    path.write_bytes(content)
+    flip_frame(journal, 42)
     ((file, damage),) = check_journal(journal).damages
     assert (file, damage.sequence, damage.position) == ("journal/000001.journal", 42, "B")
     opened = 1000 + 42
-    shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == opened)
-    content[shot.end - 1] ^= 1
-    path.write_bytes(content)
+    flip_frame(journal, opened)
     assert [damage.sequence for _, damage in check_journal(journal).damages] == [42, opened]
 
 
 def test_a_corrupt_frame_header_is_reported_with_its_byte_range(journal):
     """In an open set no other entry names its records."""
-    path = segment_path(journal, 1)
-    content = bytearray(path.read_bytes())
-    shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 1000 + 42)
-    content[shot.start + 8] ^= 1
-    path.write_bytes(content)
+    shot = flip_frame(journal, 1000 + 42, in_header=True)
     ((file, damage),) = check_journal(journal).damages
     assert (file, damage.sequence) == ("journal/000001.journal", None)
     assert str(damage).startswith(f"bytes {shot.start} to {shot.end} are no frame")
@@ -187,19 +178,13 @@ def test_a_group_moved_to_a_new_segment_is_no_corruption(journal):
     content = first.read_bytes()
     last = [*frame_format.frames(content)][-1]
     second.write_bytes(content[last.start : last.end])
-    broken = bytearray(content)
-    broken[last.end - 1] ^= 1
-    first.write_bytes(broken)
+    flip(first, last.end - 1)
     assert check_journal(journal).damages == []
 
 
 def test_a_corrupt_frame_of_a_set_that_has_its_file_is_ignored(journal):
     compact_set(journal, SetKey(SET_INDEX))
-    path = segment_path(journal, 1)
-    content = bytearray(path.read_bytes())
-    shot = next(frame for frame in frame_format.frames(bytes(content)) if frame.sequence == 42)
-    content[shot.end - 1] ^= 1
-    path.write_bytes(content)
+    flip_frame(journal, 42)
     assert check_journal(journal).damages == []
 
 

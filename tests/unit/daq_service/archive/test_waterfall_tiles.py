@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.archived_sets import make_set, make_shot, other_set
+from support.damaging import flip
 from support.memory_archive import MemoryArchive
 
 from daq_service.archive import PositionRecord
@@ -188,9 +189,7 @@ def test_a_figure_from_complete_tiles_reads_no_record(copied, stored, tiles):
 def corrupt_tile(path):
     """Flip a bit of a sample of the third row if it exists; in a NaN the flip would have no effect."""
     n_cells = frame_of(make_shot("B", 0, 1).waveform, "first").n_cells
-    content = bytearray(path.read_bytes())
-    content[512 + 2 * (64 + 8 * n_cells) + 64 + 4 * (n_cells // 2) + 2] ^= 0x40
-    path.write_bytes(content)
+    flip(path, 512 + 2 * (64 + 8 * n_cells) + 64 + 4 * (n_cells // 2) + 2, 0x40)
 
 
 FAULTS = {

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.invented_rows import assessment_row
 from support.memory_archive import bits
 
 from analysis.assessment import step as solitary_wave_step
@@ -17,7 +18,6 @@ from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.alarms.evidence import describe_evidence
 from daq_service.assessment.diagnosis_texts import diagnosis_details, diagnosis_text
 from daq_service.assessment.transducer_conditions import wall_conditions
-from daq_service.catalogue.rows import AssessmentRow
 from daq_service.recording.set_assessor import state_rows
 
 LAST, SETS = 59, 100
@@ -74,13 +74,10 @@ def run(change, state=None, since=0, until=SETS):
 
 
 def row_of(assessment):
-    return AssessmentRow(
-        set_index=SETS - 1,
-        position="B",
+    return assessment_row(
+        SETS - 1,
         due_h=99.0,
-        in_baseline=False,
         distance_squared=assessment.distance_squared,
-        limit_name="f_predictive",
         limits={"f_predictive": 30.0},
         outlier=assessment.outlier,
         diagnosis=assessment.cause.cause,

@@ -5,6 +5,7 @@ from concurrent.futures.process import BrokenProcessPool
 
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
+from support.damaging import flip
 from support.filed_archive import FiledArchive
 from support.small_experiment import AtOnce
 
@@ -93,9 +94,7 @@ def test_a_set_with_a_file_is_not_finalized_again(tmp_path):
 
 def test_a_set_with_corrupt_frames_stays_in_the_journal_and_is_reported(archive, tmp_path):
     (segment,) = (tmp_path / "journal").iterdir()
-    content = bytearray(segment.read_bytes())
-    content[content.find(make_set().shots[0].waveform.counts.tobytes()) + 5] ^= 1
-    segment.write_bytes(content)
+    flip(segment, segment.read_bytes().find(make_set().shots[0].waveform.counts.tobytes()) + 5)
     making = SetFinalizer(tmp_path, archive, start=AtOnce)
     for index in archive.sets():
         making.after_set(index)

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
-from support.life_of_a_test import lived
+from support.damaging import flip
 from support.small_experiment import AtOnce
 from support.stored_files import read_set, set_files
 from support.table_rows import lose_catalogue, table_rows
@@ -124,9 +124,7 @@ def test_no_tile_is_made_while_set_files_are_pending(line):
 def test_a_corrupt_tile_is_made_again_in_the_next_round(line):
     line.file()
     (path,) = (line.folder / TILES_FOLDER / "B" / "trigger").glob("0001-*.tile")
-    content = bytearray(path.read_bytes())
-    content[-9] ^= 1
-    path.write_bytes(content)
+    flip(path, -9)
     newest = list(line.records)[-1]
     assert line.tiles().row(1, newest) is None
     for _ in range(2):
@@ -159,11 +157,6 @@ def test_an_unscheduled_set_gets_no_tiles(line):
     record = other_set(make_set(), SET_INDEX, 1)
     assert add_record_to_tiles(line.folder, "ab/1", {}, record) == ""
     assert not (line.folder / TILES_FOLDER).exists()
-
-
-@pytest.fixture(scope="module")
-def life(tmp_path_factory):
-    return lived(tmp_path_factory.mktemp("life"))
 
 
 @pytest.fixture

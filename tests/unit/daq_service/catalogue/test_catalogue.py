@@ -11,6 +11,8 @@ import numpy as np
 import orjson
 import pytest
 from sqlalchemy import event
+from support import invented_rows
+from support.invented_rows import HOUR_0_NS, alarm_row, shot_row
 
 from daq_service.catalogue import SetCommit, check_owner, connection, open_catalogue, stored_rows
 from daq_service.catalogue.errors import (
@@ -27,7 +29,6 @@ from daq_service.catalogue.rows import (
     AlarmRow,
     AssessmentRow,
     BaselineRow,
-    EventRow,
     FeatureRow,
     SetRow,
     ShotRow,
@@ -42,8 +43,6 @@ from hardware_drivers.measurement import SetKey
 
 HASH = "ab" * 32
 NAN = float("nan")
-EPOCH_NS = 1_704_067_200_000_000_000
-NS_PER_H = 3_600_000_000_000
 
 
 def begin(folder, configuration_hash=HASH):
@@ -52,7 +51,7 @@ def begin(folder, configuration_hash=HASH):
         name="test",
         configuration_hash=configuration_hash,
         configuration={"plate": {"thickness_m": 0.00635}},
-        epoch_utc_ns=EPOCH_NS,
+        epoch_utc_ns=HOUR_0_NS,
         clock="simulated",
         solimon_version="0.1.0",
     )
@@ -72,20 +71,7 @@ def reader(tmp_path, writer):
 
 
 def set_row(index, position, state="done", n_taken=2, **changes):
-    return SetRow(
-        **{
-            "set_index": index,
-            "position": position,
-            "method": "pulse_echo" if position == "A" else "solitary_wave",
-            "due_utc_ns": EPOCH_NS + index * NS_PER_H,
-            "due_h": float(index),
-            "state": state,
-            "n_planned": 2,
-            "n_taken": n_taken,
-            "n_valid": n_taken,
-            **changes,
-        }
-    )
+    return invented_rows.set_row(index, position, state=state, n_taken=n_taken, n_valid=n_taken, **changes)
 
 
 def stored(row):
@@ -93,55 +79,14 @@ def stored(row):
     return storable(replace(row, id=1))
 
 
-def shot_row(index, position, shot_index, sequence, **changes):
-    return ShotRow(
-        **{
-            "sequence": sequence,
-            "set_index": index,
-            "position": position,
-            "shot_index": shot_index,
-            "attempt": 0,
-            "utc_ns": EPOCH_NS + sequence,
-            "mono_ns": sequence,
-            "boot_id": "5d1f",
-            "crc32": 2**32 - 1,
-            "valid": True,
-            "flags": ["noisy", "double"],
-            **changes,
-        }
-    )
-
-
 def feature_row(index, position, shot_index, sequence=None, **changes):
-    return FeatureRow(
-        **{
-            "set_index": index,
-            "position": position,
-            "shot_index": shot_index,
-            "sequence": sequence,
-            "due_h": float(index),
-            "extractor_version": "1",
-            "quality": "good",
-            "n_valid": 1,
-            "tof_pp_s": 3.3e-4 + 1e-6 * index,
-            **changes,
-        }
-    )
+    own = {"shot_index": shot_index, "sequence": sequence, "tof_pp_s": 3.3e-4 + 1e-6 * index}
+    return invented_rows.feature_row(index, position, **{**own, **changes})
 
 
 def assessment_row(index, position, in_baseline=False, **changes):
-    return AssessmentRow(
-        **{
-            "set_index": index,
-            "position": position,
-            "due_h": float(index),
-            "in_baseline": in_baseline,
-            "distance_squared": 4.5,
-            "limit_name": "f_predictive",
-            "outlier": None if in_baseline else False,
-            **changes,
-        }
-    )
+    own = {"in_baseline": in_baseline, "distance_squared": 4.5, "outlier": None if in_baseline else False}
+    return invented_rows.assessment_row(index, position, **{**own, **changes})
 
 
 def thickness_row(index, sequence):
@@ -156,33 +101,15 @@ def thickness_row(index, sequence):
     )
 
 
-def alarm_row(position="B", kind="wall_change", **changes):
-    return AlarmRow(
-        **{
-            "position": position,
-            "kind": kind,
-            "alarm_class": "damage",
-            "priority": "high",
-            "state": "unacknowledged",
-            "raised_utc_ns": EPOCH_NS,
-            "raised_h": 1.0,
-            "changed_utc_ns": EPOCH_NS,
-            "message": "B has changed",
-            "evidence": {"limit": 24.3},
-            **changes,
-        }
-    )
-
-
 def event_row(kind="set_done", topic="sets", **changes):
-    return EventRow(**{"utc_ns": EPOCH_NS, "topic": topic, "kind": kind, "payload": {"n": 1}, **changes})
+    return invented_rows.event_row(kind, topic, **{"payload": {"n": 1}, **changes})
 
 
 def baseline_row(name="B-1", position="B"):
     return BaselineRow(
         name=name,
         position=position,
-        created_utc_ns=EPOCH_NS,
+        created_utc_ns=HOUR_0_NS,
         first_set_index=0,
         last_set_index=1,
         n_sets=2,
@@ -327,20 +254,13 @@ def test_a_reader_cannot_change_anything_but_commands(reader):
         connection_.execute(insert(sets), stored(set_row(0, "B")))
 
 
-def test_a_reader_continues_after_the_end_of_the_recorder(tmp_path):
-    with begin(tmp_path) as writer:
-        writer.commit_set(commit_of(0))
-    with open_catalogue(tmp_path) as reader:
-        assert reader.counts()["sets"] == 1
-
-
 def test_a_folder_may_have_any_name(tmp_path):
     folder = tmp_path / "50 % of #1? größer"
     folder.mkdir()
     with begin(folder) as writer:
         writer.commit_set(commit_of(0))
     with open_catalogue(folder) as reader:
-        assert reader.counts()["sets"] == 1
+        assert reader.counts()["sets"] == 1, "after the end of the recorder, too"
 
 
 # A set in one piece ---------------------------------------------------------------------------
@@ -502,19 +422,17 @@ def test_an_assessment_in_the_baseline_is_completed_in_its_row(writer, reader):
     ]
 
 
-def test_an_assessment_after_the_baseline_is_final(writer, reader):
-    writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", outlier=True)]))
-    for in_baseline in (False, True):
-        with pytest.raises(CatalogueConflictError):
-            writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", in_baseline)]))
-    assert reader.rows(AssessmentRow, position="B")[0].outlier is True
-
-
-def test_an_assessed_set_does_not_leave_the_baseline(writer, reader):
-    writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", True)]))
+@pytest.mark.parametrize(
+    ("before", "after"),
+    [(False, False), (False, True), (True, False)],
+    ids=["again", "into the baseline", "out of the baseline"],
+)
+def test_an_assessment_after_the_baseline_is_final_and_none_leaves_it(writer, reader, before, after):
+    writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", before)]))
     with pytest.raises(CatalogueConflictError):
-        writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", outlier=True)]))
-    assert reader.rows(AssessmentRow, position="B")[0].in_baseline is True
+        writer.commit_set(SetCommit(assessments=[assessment_row(5, "B", after, outlier=True)]))
+    (row,) = reader.rows(AssessmentRow, position="B")
+    assert (row.in_baseline, row.outlier) == (before, None if before else False)
 
 
 def test_an_assessment_may_refer_to_the_baseline_of_the_same_commit(writer, reader):
@@ -784,6 +702,6 @@ def test_a_writer_that_sqlite_opened_read_only_connects_again(tmp_path, monkeypa
 
     monkeypatch.setattr(connection.sqlite3, "connect", once_for_reading)
     with open_catalogue(tmp_path, writer=True) as catalogue:
-        catalogue.add_event(utc_ns=EPOCH_NS, topic="service", kind="gap", payload={})
+        catalogue.add_event(utc_ns=HOUR_0_NS, topic="service", kind="gap", payload={})
         assert catalogue.last_event_id() == 1
     assert refused

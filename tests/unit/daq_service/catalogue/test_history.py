@@ -4,6 +4,7 @@ import os
 from dataclasses import replace
 
 import pytest
+from support import invented_rows
 from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import SetCommit, history
@@ -29,8 +30,7 @@ def follower(catalogue, tmp_path):
 
 
 def set_row(position, **columns):
-    columns = {"state": "done", "n_planned": 1, "due_utc_ns": 0, "due_h": 0.5, **columns}
-    return SetRow(set_index=0, position=position, method="pulse_echo", **columns)
+    return invented_rows.set_row(0, position, **columns)
 
 
 def test_the_history_holds_experiment_events_command_states_and_files(catalogue, follower, tmp_path):

@@ -5,6 +5,7 @@ import re
 
 import pytest
 from sqlalchemy import event, func, select
+from support.invented_rows import alarm_row, assessment_row, event_row, feature_row, set_row, shot_row
 from support.new_experiment import new_catalogue
 
 from daq_service.catalogue import SetCommit, open_catalogue
@@ -37,37 +38,27 @@ def random_catalogue(folder, seed):
             own = {**due, "position": position}
             state = chance.choice(["done", "done", "partial", "missed", "disabled"])
             n_taken = {"done": 2, "partial": 1}.get(state, 0)
-            commit.sets.append(
-                SetRow(**own, due_utc_ns=index, ended_utc_ns=index if n_taken else None, method=method,
-                       state=state, n_planned=2, n_taken=n_taken)
-            )  # fmt: skip
+            ended_ns = index if n_taken else None
+            commit.sets.append(set_row(**own, ended_utc_ns=ended_ns, state=state, n_taken=n_taken))
             news = {"utc_ns": index, "position": position, "set_index": index, "payload": {"held": ""}}
-            commit.events.append(EventRow(**news, topic="sets", kind=f"set_{state}"))
-            stamp = {"utc_ns": 0, "mono_ns": 0, "boot_id": "", "crc32": 0, "valid": True, "flags": []}
+            commit.events.append(event_row(f"set_{state}", **news))
             found = {**own, "extractor_version": "1", "quality": "good"}
             for shot_index in range(n_taken):
                 sequence += 1
-                shot = {"set_index": index, "position": position, "shot_index": shot_index}
-                commit.shots.append(ShotRow(**shot, **stamp, sequence=sequence, attempt=0))
+                commit.shots.append(shot_row(index, position, shot_index, sequence))
                 if method == "solitary_wave":
-                    feature = {**found, "shot_index": shot_index, "sequence": sequence}
-                    commit.features.append(FeatureRow(**feature, n_valid=1))
+                    commit.features.append(feature_row(**own, shot_index=shot_index, sequence=sequence))
             if n_taken and method == "pulse_echo":
                 time_s = chance.choice([None, 1e-6])
                 commit.thickness.append(ThicknessRow(**found, sequence=sequence, travel_time_s=time_s))
             elif n_taken:
-                commit.features.append(FeatureRow(**found, shot_index=None, sequence=None, n_valid=n_taken))
-                commit.assessments.append(AssessmentRow(**own, in_baseline=False, limit_name="f_predictive"))
+                commit.features.append(feature_row(**own, n_valid=n_taken))
+                commit.assessments.append(assessment_row(**own))
         if chance.random() < 0.3:
-            word = {"utc_ns": index, "topic": "service", "payload": {"held": f"by {index}"}}
             kind = chance.choice(["pause", "resume", "recorder_started"])
-            commit.events.append(EventRow(**word, kind=kind))
-            commit.alarms.append(
-                AlarmRow(position="B", kind="no_reflection", alarm_class="damage", priority="high",
-                         raised_utc_ns=0,
-                         state=chance.choice(["normal", "acknowledged", "unacknowledged"]), raised_h=0.0,
-                         changed_utc_ns=0, message="", evidence={})
-            )  # fmt: skip
+            commit.events.append(event_row(kind, "service", utc_ns=index, payload={"held": f"by {index}"}))
+            state = chance.choice(["normal", "acknowledged", "unacknowledged"])
+            commit.alarms.append(alarm_row("B", "no_reflection", state=state))
         if chance.random() < 0.8:
             commit.environment.append(
                 EnvironmentRow(**due, supply_state="on", supply_quality="good", climate_quality="good")
@@ -207,9 +198,8 @@ def test_no_frequent_query_reads_every_row(tmp_path):
             for points in (1, 8):
                 trend_bins(catalogue, "B", first_h=first_h, last_h=last_h, points=points, most_bins=points)
             trend_part(catalogue, "B", "tof_pp_s", first_h=first_h, last_h=last_h)
-        own = {"position": "B", "set_index": 31, "due_h": 15.5}  # the last one of a block
-        planned = SetRow(**own, due_utc_ns=31, method="solitary_wave", state="missed", n_planned=2)
-        catalogue.commit_set(SetCommit(sets=[planned]))
+        last_of_a_block = set_row(31, due_h=15.5, state="missed")
+        catalogue.commit_set(SetCommit(sets=[last_of_a_block]))
     for sql, values, steps in plans:
         for step in steps:
             if re.match(r"SCAN events USING INDEX ix_events_|SCAN \w+ USING INDEX ix_\w+_unscheduled$", step):

@@ -6,12 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from sqlalchemy import delete, func, select
+from support.invented_rows import alarm_row, assessment_row, feature_row, set_row
 from support.new_experiment import new_catalogue
 
 from analysis.statistics.trend import fit_trend, trend_of_part
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rollups import QUALITIES, values_of
-from daq_service.catalogue.rows import AlarmRow, AssessmentRow, FeatureRow, SetRow
+from daq_service.catalogue.rows import FeatureRow
 from daq_service.catalogue.stored_rows import writing
 from daq_service.catalogue.tables import sets, trend_blocks
 from daq_service.catalogue.trends import rebuild_trends, trend_bins, trend_differences, trend_part
@@ -29,17 +30,14 @@ def random_sets(folder, seed):
         own = {"position": "B", "set_index": index, "due_h": 0.5 + index / 2}
         state = "disabled" if index in retired else chance.choice(["done"] * 6 + ["missed"])
         commit, row = SetCommit(), {"state": state, "due_h": own["due_h"], "alarms": 0, "outlier": None}
-        commit.sets.append(SetRow(**own, method="solitary_wave", due_utc_ns=index, state=state, n_planned=2))
+        commit.sets.append(set_row(**own, state=state))
         if state == "done":
             row |= {
                 name: chance.choice([None, *(chance.gauss(5.0, 1.0) for _ in range(5))]) for name in VALUES
             }
             row["quality"] = chance.choice(QUALITIES)
             given = {name: row[name] for name in VALUES}
-            commit.features.append(
-                FeatureRow(**own, **given, shot_index=None, sequence=None, extractor_version="1",
-                           quality=row["quality"], n_valid=2)
-            )  # fmt: skip
+            commit.features.append(feature_row(**own, **given, quality=row["quality"], n_valid=2))
             row["outlier"] = None if index < BASELINE else chance.random() < 0.02
             row["distance_squared"] = None if index < BASELINE else chance.random()
             commit.assessments.append(assessment(own, row, index < BASELINE))
@@ -65,18 +63,12 @@ def random_sets(folder, seed):
 
 
 def assessment(own, row, in_baseline):
-    return AssessmentRow(
-        **own, in_baseline=in_baseline, distance_squared=row["distance_squared"], outlier=row["outlier"],
-        limit_name="f_predictive", limit_f_predictive=24.3,
-    )  # fmt: skip
+    known = {name: row[name] for name in ("distance_squared", "outlier")}
+    return assessment_row(**own, **known, in_baseline=in_baseline, limit_f_predictive=24.3)
 
 
 def alarm(index):
-    return AlarmRow(
-        position="B", kind="no_reflection", alarm_class="damage", priority="high", state="normal",
-        raised_utc_ns=0,
-        raised_h=0.0, raised_set_index=index, changed_utc_ns=0, message="", evidence={},
-    )  # fmt: skip
+    return alarm_row("B", "no_reflection", state="normal", raised_set_index=index)
 
 
 @pytest.mark.parametrize("seed", range(2))
@@ -188,7 +180,4 @@ def test_a_corrupt_row_does_not_prevent_the_storage_of_a_set(tmp_path, caplog):
 
 
 def planned(index):
-    return SetRow(
-        position="B", set_index=index, due_h=0.5 * index, method="solitary_wave", due_utc_ns=index,
-        state="done", n_planned=2,
-    )  # fmt: skip
+    return set_row(index, due_h=0.5 * index)

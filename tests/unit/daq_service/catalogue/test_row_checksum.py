@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.invented_rows import feature_row, set_row
 from support.new_experiment import new_catalogue
 
 from daq_service.catalogue import open_catalogue
@@ -17,14 +18,10 @@ from daq_service.catalogue.stored_rows import row_crc32
 from daq_service.catalogue.writer import SetCommit
 from hardware_drivers.measurement import SetKey
 
-SET = SetRow(
-    set_index=3, position="B", method="solitary_wave", due_utc_ns=10**18, due_h=2, state="done", n_planned=4
+SET = set_row(3, due_h=2, n_planned=4)
+FEATURE = feature_row(
+    3, due_h=2.0, n_valid=np.int64(4), tof_pp_s=-0.0, tof_ac_s=np.float64(3e-4), amplitude_ratio=float("nan")
 )
-FEATURE = FeatureRow(
-    set_index=3, position="B", shot_index=None, sequence=None, due_h=2.0, extractor_version="1",
-    quality="good", n_valid=np.int64(4), tof_pp_s=-0.0, tof_ac_s=np.float64(3e-4),
-    amplitude_ratio=float("nan"),
-)  # fmt: skip
 EVENT = EventRow(
     utc_ns=1, topic="sets", kind="set_done", payload={"mean": np.array([1.0, np.nan]), "n": (1, 2)}
 )

@@ -2,7 +2,6 @@
 
 import json
 import shutil
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,11 +12,11 @@ import pyarrow
 import pytest
 from click.testing import CliRunner
 from scipy.io import loadmat
+from support.filed_archive import journal_of
 from support.filled_folder import FilledFolder
 from support.stored_files import read_set, set_files
 
 from daq_service import shared_file
-from daq_service.archive import FolderArchive
 from daq_service.archive.layout import build_image
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow, ThicknessRow
@@ -25,7 +24,6 @@ from daq_service.cli.main import cli
 from daq_service.cli.maintenance.export import export_hdf5
 from daq_service.errors import StorageUnavailableError, UsageError
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import SetKey
 
 SETS = 3
 
@@ -159,11 +157,7 @@ def test_a_set_in_the_journal_is_no_corruption(folder, tmp_path):
     path = set_files(folder)[2]
     record = read_set(path)
     path.unlink()
-    with closing(FolderArchive(folder)) as archive:
-        archive.begin_set(SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
-        for item in record.records:
-            archive.append(item, item.stamp.utc_ns)
-        archive.store_set(record)
+    with journal_of(folder, record):
         code, answer = solimon("export", "--data-dir", folder, "--hdf5", tmp_path / "all.h5")
     assert (code, answer["sets"], answer["waiting"], answer["left_out"]) == (0, 2, 1, {})
 

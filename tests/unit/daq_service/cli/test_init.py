@@ -106,7 +106,6 @@ def test_a_recording_of_labview_has_its_names_written_down(tmp_path):
     (tmp_path / "labview").mkdir()
     write_configuration("playback", tmp_path / "playback.toml", "--source", tmp_path / "labview")
     playback = load_settings(tmp_path / "playback.toml").rig.playback
-    assert playback is not None
     assert (playback.format, playback.source) == ("tdms", tmp_path / "labview")
     assert "file_pattern = " in (tmp_path / "playback.toml").read_text(encoding="utf-8")
 

@@ -111,22 +111,18 @@ def test_at_a_terminal_a_command_asks_for_its_reason(monkeypatch, command_line, 
     assert given == (["hands in the rig"] if asked else ["door"] if "door" in command_line else [""])
 
 
-def test_a_renewal_without_a_reason_is_rejected_with_the_missing_option(tmp_path):
-    done = solimon_here("renew-baseline", "--position", "B", "--data-dir", str(tmp_path), env={})
-    assert done.returncode == 2
-    assert "--reason 'sensor coupled again'" in done.stderr
-
-
-def test_a_switch_of_the_supply_names_its_direction(tmp_path):
-    done = solimon_here("supply", "--data-dir", str(tmp_path), env={})
-    assert (done.returncode, done.stdout) == (2, "")
-    assert "give --on or --off" in done.stderr
-
-
-def test_a_command_is_rejected_before_the_first_record(tmp_path):
-    done = solimon_here("pause", "--reason", "why", "--data-dir", str(tmp_path), env={})
-    assert done.returncode == 4
-    assert "no data yet" in done.stderr
+@pytest.mark.parametrize(
+    ("command_line", "code", "message"),
+    [
+        ("renew-baseline --position B", 2, "--reason 'sensor coupled again'"),
+        ("supply", 2, "give --on or --off"),
+        ("pause --reason why", 4, "no data yet"),
+    ],
+)
+def test_an_impossible_command_is_rejected_with_what_is_missing(tmp_path, command_line, code, message):
+    done = solimon_here(*command_line.split(), "--data-dir", str(tmp_path), env={})
+    assert (done.returncode, done.stdout) == (code, "")
+    assert message in done.stderr
 
 
 def test_a_restarted_web_service_waits_for_its_folder(tmp_path):
@@ -251,20 +247,24 @@ def test_the_demo_prints_its_first_line_before_the_imports():
     assert not set(done.stdout.split()) & {"numba", "numpy", "pydantic", "sqlalchemy", "rich"}
 
 
-def test_the_recorder_imports_no_compiler_plots_web_or_drivers():
+OF_OTHERS = {"numba", "matplotlib", "pandas", "fastapi", "uvicorn", "rich"}
+OF_OTHERS |= {"nidaqmx", "niscope", "grpc", "serial"}
+OF_OTHERS |= {"scipy.linalg", "scipy.signal", "scipy.stats", "scipy.sparse"}
+
+
+@pytest.mark.parametrize(
+    ("module", "slow"),
+    [
+        ("daq_service.recording.session", OF_OTHERS),
+        # Solvers that only a new plate needs.
+        ("simulator.specimen", {"scipy.optimize", "scipy.sparse.linalg", "scipy.stats"}),
+    ],
+)
+def test_recorder_and_twin_import_nothing_slow_that_they_do_not_use(module, slow):
     """A single file of unit tests answers in seconds; a restart of the recorder, too."""
-    code = "import sys, daq_service.recording.session; print(*sorted(sys.modules))"
+    code = f"import sys, {module}; print(*sorted(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    slow = {"numba", "matplotlib", "pandas", "fastapi", "uvicorn", "rich"}
-    slow |= {"nidaqmx", "niscope", "grpc", "serial"}
-    slow |= {"scipy.linalg", "scipy.signal", "scipy.stats", "scipy.sparse"}
     assert not set(done.stdout.split()) & slow
-
-
-def test_the_twin_imports_no_solver_that_only_a_new_plate_needs() -> None:
-    code = "import sys, simulator.specimen; print(*sorted(sys.modules))"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert not set(done.stdout.split()) & {"scipy.optimize", "scipy.sparse.linalg", "scipy.stats"}
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])

@@ -4,7 +4,6 @@ import json
 import os
 import re
 import shutil
-import sqlite3
 import subprocess
 import sys
 import tarfile
@@ -16,10 +15,12 @@ from typing import get_args
 import pytest
 from support.archived_sets import make_set
 from support.command_line import solimon_here
-from support.filed_archive import FiledArchive
+from support.damaging import flip
+from support.filed_archive import FiledArchive, journal_of
 from support.kept_folder import SETS, lay_out, state_of
 from support.served_web import served
 from support.small_experiment import SMALL, disturbed_rig, rows_of, run, small_settings
+from support.table_rows import execute
 
 from daq_service.archive import FolderArchive, FolderSetReader
 from daq_service.archive.finalize_set import compact_set
@@ -60,17 +61,6 @@ def solimon(*arguments):
 
 def kinds(folder):
     return sorted({(item.kind, item.file, item.shot_id) for item in verify_folder(folder).damage}, key=str)
-
-
-def flip(path, place):
-    content = bytearray(path.read_bytes())
-    content[place] ^= 1
-    path.write_bytes(content)
-
-
-def change(folder, sql):
-    with closing(sqlite3.connect(folder / "catalogue.sqlite")) as database, database:
-        database.execute(sql)
 
 
 def hit_a_record(folder, index):
@@ -136,7 +126,7 @@ def test_each_corruption_is_reported_with_exit_code_4(folder):
     ],
 )
 def test_a_row_that_differs_from_its_file_is_named(folder, sql):
-    change(folder, sql)
+    execute(folder, sql)
     assert {item.kind for item in verify_folder(folder).damage} >= {"row"}
 
 
@@ -155,7 +145,7 @@ def test_a_row_that_differs_from_its_file_is_named(folder, sql):
     ],
 )
 def test_results_are_compared_with_their_copy_in_the_file(folder, sql, message):
-    change(folder, sql)
+    execute(folder, sql)
     assert any(
         f"set 1, {message}" in item.description or message in item.description
         for item in verify_folder(folder).damage
@@ -164,10 +154,10 @@ def test_results_are_compared_with_their_copy_in_the_file(folder, sql, message):
 
 def test_missing_rows_before_later_ones_are_reported(folder):
     for table in ("events", "features", "assessments", "thickness", "shots", "sets"):
-        change(folder, f"DELETE FROM {table} WHERE set_index = 1")
+        execute(folder, f"DELETE FROM {table} WHERE set_index = 1")
     assert kinds(folder) == [("file_without_rows", FILES[1], None)]
     for table in ("events", "features", "assessments", "thickness", "shots", "sets"):
-        change(folder, f"DELETE FROM {table} WHERE set_index = 2")
+        execute(folder, f"DELETE FROM {table} WHERE set_index = 2")
     report = verify_folder(folder)
     assert (report.damage, report.checked["sets_without_rows"]) == ([], 2), "as a killed recorder leaves them"
 
@@ -263,13 +253,10 @@ def test_a_history_shorter_than_the_catalogue_is_corruption_until_the_next_start
 @pytest.mark.parametrize(("behind_s", "damage"), [(0.9, []), (61.0, [("history", "history.jsonl", None)])])
 def test_a_history_cut_by_a_crash_is_no_corruption(folder, behind_s, damage):
     end_of_history(folder, lines=12)
-    with closing(sqlite3.connect(folder / "catalogue.sqlite")) as database, database:
-        last = database.execute("SELECT max(id) FROM events").fetchone()[0]
-        database.execute("DELETE FROM events WHERE id = ?", (last,))  # the farewell
-        database.execute("UPDATE events SET wall_utc_ns = ? + id", (10**18,))
-        database.execute(
-            "UPDATE events SET wall_utc_ns = wall_utc_ns + ? WHERE id = ?", (int(behind_s * 1e9), last - 1)
-        )
+    ((last,),) = execute(folder, "SELECT max(id) FROM events")
+    execute(folder, f"DELETE FROM events WHERE id = {last}")  # the farewell
+    behind = f"iif(id = {last - 1}, {int(behind_s * 1e9)}, 0)"
+    execute(folder, f"UPDATE events SET wall_utc_ns = {10**18} + id + {behind}")
     # The times were moved in the catalogue alone, which therefore differs from the history.
     found = [item for item in kinds(folder) if item[0] not in ("row", "catalogue")]
     assert found == damage
@@ -436,20 +423,15 @@ def test_repair_restores_a_file_from_the_journal_or_quarantines_it(folder):
     record = FolderSetReader(folder).read_set(FILES[2])
     content = (folder / FILES[2]).read_bytes()
     (folder / FILES[2]).unlink()
-    with closing(FolderArchive(folder)) as archive:
-        archive.begin_set(
-            SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=record.started_utc_ns, retired={}
-        )
-        for item in record.records:
-            archive.append(item, item.stamp.utc_ns)
-        archive.store_set(record)
+    with journal_of(folder, record):
+        pass
     assert kinds(folder) == []
     (folder / FILES[2]).write_bytes(content[:1000])
     code, answer = solimon("repair", "--apply", "--data-dir", folder)
     assert (code, [step["does"] for step in answer["steps"]]) == (0, ["from_journal"])
     assert (folder / FILES[2]).read_bytes() == content
     for table in ("events", "features", "assessments", "thickness", "shots", "sets"):
-        change(folder, f"DELETE FROM {table} WHERE set_index = 2")
+        execute(folder, f"DELETE FROM {table} WHERE set_index = 2")
     segment_path(folder, 1).unlink()
     (folder / FILES[2]).write_bytes(content[:1000])
     code, answer = solimon("repair", "--apply", "--data-dir", folder)
@@ -493,7 +475,7 @@ def test_a_backup_is_refused_where_it_would_do_harm(folder, tmp_path):
     assert [path.name for path in foreign.iterdir()] == ["thesis.txt"]
     copy = tmp_path / "copy"
     back_up(folder, copy)
-    change(folder, "UPDATE experiment SET created_utc_ns = 1")
+    execute(folder, "UPDATE experiment SET created_utc_ns = 1")
     with pytest.raises(StorageError, match="a backup of another test"):
         back_up(folder, copy)
     lay_out(folder)
@@ -566,11 +548,7 @@ def test_a_backup_names_every_lost_set_and_copies_the_others(folder, tmp_path):
 def test_a_set_that_waits_in_the_journal_is_in_the_copy_of_it(folder, tmp_path):
     record = FolderSetReader(folder).read_set(FILES[2])
     (folder / FILES[2]).unlink()
-    with closing(FolderArchive(folder)) as archive:
-        archive.begin_set(SetKey(2), due_utc_ns=record.due_utc_ns, started_utc_ns=1, retired={})
-        for item in record.records:
-            archive.append(item, item.stamp.utc_ns)
-        archive.store_set(record)
+    with journal_of(folder, record):
         copy = tmp_path / "copy"
         back_up(folder, copy)
         assert verify_folder(copy).damage == []

@@ -1,11 +1,9 @@
 """`solimon serve PATH...`: paths of one test, of several tests, and their authentication."""
 
-import socket
 from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from support.command_line import solimon_here
 
 from daq_service.cli import serve
 from daq_service.cli.main import cli
@@ -91,15 +89,3 @@ def test_a_service_of_several_that_others_reach_needs_a_token_of_its_own(served,
     file.write_text('[web]\nproxy = "127.0.0.1"\nhost_names = ["lab.example.org"]')
     with pytest.raises(UsageError, match="holds no valid access token"):
         run("a.toml", "b", "--web", file)
-
-
-def test_a_port_in_use_is_refused_for_several_too(tmp_path, monkeypatch):
-    monkeypatch.setattr(serve, "log_to", lambda path: None)
-    with socket.socket() as taken:
-        taken.bind(("127.0.0.1", 0))
-        taken.listen()
-        port = str(taken.getsockname()[1])
-        paths = (str(tmp_path / "a"), str(tmp_path / "b"))
-        done = solimon_here("serve", *paths, "--data-dir", str(tmp_path / "own"), "--port", port, env={})
-    assert done.returncode == 5
-    assert port in done.stderr

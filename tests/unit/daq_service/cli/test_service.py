@@ -83,14 +83,6 @@ def test_systemd_verifies_the_units(config):
     assert verify(*write_service(config, "systemd", "--user", "root")["files"]) == ""
 
 
-def test_a_unit_that_systemd_rejects_is_detected(config):
-    """This shows that the check above can fail."""
-    recorder = write_service(config, "systemd", "--user", "root")["files"][0]
-    text = Path(recorder).read_text(encoding="utf-8")
-    Path(recorder).write_text(text.replace("WatchdogSec=", "WatchdogSeconds="), encoding="utf-8")
-    assert "WatchdogSeconds" in verify(recorder)
-
-
 def test_a_watched_recorder_has_time_to_start_to_work_and_to_stop(config):
     recorder = units(config)["record"]["Service"]
     settings = load_settings(config)

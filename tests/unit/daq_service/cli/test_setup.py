@@ -198,7 +198,8 @@ def test_an_envelope_keeps_every_crest():
 
 def test_a_counter_s_home_is_its_family_s():
     facts = {
-        "serial": "1", "product": "", "simulated": False, "ours": False, "max_rate_hz": 1e7, "ranges_v": (),
+        "serial": "1", "product": "", "device": None, "simulated": False, "ours": False,
+        "max_rate_hz": 1e7, "ranges_v": (),
         "inputs": (), "analog_trigger": True, "calibrates_itself": True, "calibration_date": "",
         "calibration_temperature_c": 0.0, "temperature_c": 0.0, "name": "Dev1",
         "counters": ("Dev1/ctr0", "Dev1/ctr1", "Dev1/freqout"),

@@ -6,10 +6,9 @@ from dataclasses import replace
 import pytest
 from support.command_line import solimon_here
 from support.filled_folder import LIMIT_CHART, LIMIT_F, N_BASELINE, FilledFolder, frozen_baseline
-from support.kept_folder import lay_out
+from support.invented_rows import set_row
 
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import SetRow
 from daq_service.cli.status.command import PIPE_COLUMNS
 from daq_service.cli.status.facts import GAPS_A_POSITION, describe_status
 from daq_service.cli.status.table import picture
@@ -34,21 +33,9 @@ def filled(tmp_path):
 def store_missed_set(filled, index, cause, *positions, state="missed"):
     """Store the rows of a missed or incomplete set."""
     due = filled.due[index]
-    commit = SetCommit()
-    for name in positions or filled.settings.positions:
-        commit.sets.append(
-            SetRow(
-                set_index=index,
-                position=name,
-                method=filled.settings.positions[name].method,
-                due_utc_ns=due.due_utc_ns,
-                due_h=due.due_h,
-                state=state,
-                cause=cause,
-                n_planned=1,
-            )
-        )
-    filled.catalogue.commit_set(commit)
+    stored = {"due_utc_ns": due.due_utc_ns, "due_h": due.due_h, "state": state, "cause": cause}
+    names = positions or filled.settings.positions
+    filled.catalogue.commit_set(SetCommit(sets=[set_row(index, name, **stored) for name in names]))
 
 
 def status_lines(facts):
@@ -272,17 +259,6 @@ def test_status_shows_a_missing_file_and_a_tripped_supply(filled):
         "MISSING  sets/set_000001.h5 is empty; solimon repair --from BACKUP"
     )
     assert line_of(lines, "supply") == "supply  off; tripped: a hole"
-
-
-def test_the_wall_thickness_is_shown_with_its_interval(tmp_path):
-    folder = lay_out(tmp_path / "data")
-    settings = Settings()
-    facts = describe_status(folder, settings)
-    reading = facts["positions"]["A"]["last_thickness"]
-    low_m, wall_m, high_m = (reading[name] for name in ("interval_low_m", "thickness_m", "interval_high_m"))
-    assert low_m < wall_m < high_m
-    row = line_of(status_lines(facts), " A")
-    assert f" {1e3 * wall_m:.2f} mm ({1e3 * low_m:.2f} to {1e3 * high_m:.2f})  5.71 mm  -  good" in row
 
 
 def test_a_position_with_a_partial_set_is_not_listed_as_missed(filled):

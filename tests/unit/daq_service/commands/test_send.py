@@ -1,24 +1,21 @@
 """Commands from the command line: stored, answered, rejected, or left pending."""
 
 import json
-from collections.abc import Callable, Iterator
 from contextlib import ExitStack
-from pathlib import Path
 from typing import Any
 
 import pytest
 from support.new_experiment import add_events, new_catalogue
 
-from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.clock import MachineClock
 from daq_service.commands.send import send_command
 from daq_service.errors import BusyError, UsageError
 from daq_service.processes.data_folder import own_data_folder
-from daq_service.processes.heartbeat import FILE_NAME, Heartbeat, Stage
+from daq_service.processes.heartbeat import FILE_NAME, Heartbeat
 
 
-def beat(folder: Path, stage: Stage = "") -> None:
+def beat(folder, stage=""):
     heartbeat = Heartbeat(folder, deadline_s=3600.0)
     heartbeat.stage = stage
     heartbeat.beat("waiting")
@@ -27,7 +24,7 @@ def beat(folder: Path, stage: Stage = "") -> None:
 class RecorderDouble:
     """Recorder double that answers pending commands at each poll."""
 
-    def __init__(self, folder: Path, catalogue: RecorderCatalogue, ownership: ExitStack) -> None:
+    def __init__(self, folder, catalogue, ownership):
         self.ownership = ownership
         self.folder, self.catalogue = folder, catalogue
         self.answer = ("done", "")
@@ -35,12 +32,12 @@ class RecorderDouble:
         add_events(catalogue, "recorder_started")
         beat(folder)
 
-    def look(self, seconds: float) -> None:
+    def look(self, seconds):
         for row in self.catalogue.open_commands():
             self.seen.append((row.kind, row.author, row.arguments))
             self.catalogue.finish_command(row.id, *self.answer)
 
-    def send(self, kind: str, **options: Any) -> int:
+    def send(self, kind, **options):
         options = {
             "note": "",
             "author": "ann",
@@ -52,24 +49,20 @@ class RecorderDouble:
 
 
 @pytest.fixture
-def recorder(tmp_path: Path) -> Iterator[RecorderDouble]:
+def recorder(tmp_path):
     with new_catalogue(tmp_path) as catalogue, ExitStack() as ownership:
         ownership.enter_context(own_data_folder(tmp_path))
         yield RecorderDouble(tmp_path, catalogue, ownership)
 
 
-def test_a_command_is_stored_and_its_result_printed(
-    recorder: RecorderDouble, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_is_stored_and_its_result_printed(recorder, capsys):
     recorder.answer = ("done", "paused: nothing strikes")
     assert recorder.send("pause", note="door open") == 0
     assert recorder.seen == [("pause", "ann", {"note": "door open"})]
     assert capsys.readouterr().out == "paused: nothing strikes\n"
 
 
-def test_a_command_has_its_position_and_json_is_one_object(
-    recorder: RecorderDouble, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_has_its_position_and_json_is_one_object(recorder, capsys):
     recorder.answer = ("done", "B is disabled")
     recorder.send("disable", position="B", note="coil is hot", as_json=True)
     assert json.loads(capsys.readouterr().out) == {
@@ -82,15 +75,13 @@ def test_a_command_has_its_position_and_json_is_one_object(
     }
 
 
-def test_arguments_that_are_not_given_are_left_out(recorder: RecorderDouble) -> None:
+def test_arguments_that_are_not_given_are_left_out(recorder):
     recorder.send("supply_on", voltage_v=5.0, current_limit_a=None)
     assert recorder.seen[0][2] == {"note": "", "voltage_v": 5.0}
 
 
 @pytest.mark.parametrize("as_json", [False, True])
-def test_a_rejected_command_is_an_error_with_the_recorders_reason(
-    recorder: RecorderDouble, capsys: pytest.CaptureFixture[str], as_json: bool
-) -> None:
+def test_a_rejected_command_is_an_error_with_the_recorders_reason(recorder, capsys, as_json):
     recorder.answer = ("rejected", "B is not disabled")
     with pytest.raises(UsageError, match="rejected enable: B is not disabled") as refusal:
         recorder.send("enable", position="B", as_json=as_json)
@@ -99,15 +90,13 @@ def test_a_rejected_command_is_an_error_with_the_recorders_reason(
     assert (json.loads(printed)["state"] if as_json else printed) == ("rejected" if as_json else "")
 
 
-def test_invalid_arguments_are_not_stored(recorder: RecorderDouble) -> None:
+def test_invalid_arguments_are_not_stored(recorder):
     with pytest.raises(UsageError, match=r"arguments\.voltage_v"):
         recorder.send("supply_on", voltage_v=-5.0)
     assert recorder.catalogue.open_commands() == recorder.seen == []
 
 
-def test_a_command_that_is_not_started_in_time_expires(
-    recorder: RecorderDouble, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_a_command_that_is_not_started_in_time_expires(recorder, capsys):
     with pytest.raises(
         BusyError, match=r"order 1 \(resume\) expired: not carried out, and nobody"
     ) as silence:
@@ -117,7 +106,7 @@ def test_a_command_that_is_not_started_in_time_expires(
     assert recorder.seen == []
 
 
-def test_a_started_command_without_a_result_is_reported_as_unknown(recorder: RecorderDouble) -> None:
+def test_a_started_command_without_a_result_is_reported_as_unknown(recorder):
     with pytest.raises(
         BusyError, match=r"began order 1 \(pause\) .* look before you give it again"
     ) as silence:
@@ -130,53 +119,49 @@ def test_a_started_command_without_a_result_is_reported_as_unknown(recorder: Rec
     assert silence.value.exit_code == 5
 
 
-def test_a_command_whose_recorder_ended_is_reported_as_failed(recorder: RecorderDouble) -> None:
+def test_a_command_whose_recorder_ended_is_reported_as_failed(recorder):
     recorder.answer = ("failed", "the recorder ended while carrying it out")
     with pytest.raises(BusyError, match=r"order 1 \(pause\) failed: the recorder ended"):
         recorder.send("pause", note="why")
 
 
-def killed(recorder: RecorderDouble) -> None:
+def change_heartbeat(recorder, **values):
+    path = recorder.folder / FILE_NAME
+    beat = json.loads(path.read_text(encoding="utf-8"))
+    del beat["crc32"]
+    path.write_text(json.dumps(beat | values), encoding="utf-8")
+
+
+def killed(recorder):
     recorder.ownership.close()
 
 
-def killed_and_its_heartbeat_lost(recorder: RecorderDouble) -> None:
+def killed_and_its_heartbeat_lost(recorder):
     recorder.ownership.close()
     (recorder.folder / FILE_NAME).unlink()
 
 
-def overdue(recorder: RecorderDouble) -> None:
-    _change(recorder, lambda beat: beat["mono_ns"] - 10**9 * round(beat["deadline_s"] + 1))
+def overdue(recorder):
+    change_heartbeat(recorder, deadline_s=-1.0)
 
 
-def reboot(recorder: RecorderDouble) -> None:
+def reboot(recorder):
     recorder.ownership.close()
-    beat = json.loads((recorder.folder / FILE_NAME).read_text(encoding="utf-8"))
-    del beat["crc32"]
-    (recorder.folder / FILE_NAME).write_text(json.dumps(beat | {"boot": "another"}), encoding="utf-8")
+    change_heartbeat(recorder, boot="another")
 
 
-def power_cut(recorder: RecorderDouble) -> None:
+def power_cut(recorder):
     recorder.ownership.close()
     (recorder.folder / FILE_NAME).write_text("", encoding="utf-8")
 
 
-def stopped(recorder: RecorderDouble) -> None:
+def stopped(recorder):
     add_events(recorder.catalogue, "recorder_stopped")
     beat(recorder.folder, "ended")
 
 
-def _change(recorder: RecorderDouble, mono_ns: Callable[[dict[str, Any]], int]) -> None:
-    beat = json.loads((recorder.folder / FILE_NAME).read_text(encoding="utf-8"))
-    del beat["crc32"]
-    text = json.dumps(beat | {"mono_ns": mono_ns(beat)})
-    (recorder.folder / FILE_NAME).write_text(text, encoding="utf-8")
-
-
 @pytest.mark.parametrize("end", [killed, killed_and_its_heartbeat_lost, overdue, reboot, power_cut, stopped])
-def test_without_a_recorder_no_command_is_stored(
-    recorder: RecorderDouble, end: Callable[[RecorderDouble], None]
-) -> None:
+def test_without_a_recorder_no_command_is_stored(recorder, end):
     end(recorder)
     with pytest.raises(BusyError, match=r"no recorder runs on "):
         recorder.send("pause", note="why")
@@ -184,7 +169,7 @@ def test_without_a_recorder_no_command_is_stored(
 
 
 @pytest.mark.parametrize("kind", ["schedule_done", "recorder_stopped"])
-def test_a_recorder_that_opens_its_rig_gets_no_command(recorder: RecorderDouble, kind: str) -> None:
+def test_a_recorder_that_opens_its_rig_gets_no_command(recorder, kind):
     add_events(recorder.catalogue, kind)
     beat(recorder.folder, "opening")
     with pytest.raises(BusyError, match=r"the recorder of .* is waiting: nothing strikes, .*its rig is open"):
@@ -195,23 +180,19 @@ def test_a_recorder_that_opens_its_rig_gets_no_command(recorder: RecorderDouble,
 @pytest.mark.parametrize(
     ("kinds", "stage"), [(["schedule_done"], "ended"), (["recorder_stopped", "recorder_started"], "")]
 )
-def test_a_finished_or_restarted_recorder_accepts_commands(
-    recorder: RecorderDouble, kinds: list[str], stage: Stage
-) -> None:
+def test_a_finished_or_restarted_recorder_accepts_commands(recorder, kinds, stage):
     add_events(recorder.catalogue, *kinds)
     beat(recorder.folder, stage)
     assert recorder.send("pause", note="why") == 0
     assert len(recorder.seen) == 1
 
 
-def test_a_folder_without_data_rejects_commands(tmp_path: Path) -> None:
+def test_a_folder_without_data_rejects_commands(tmp_path):
     with pytest.raises(NoDataYetError, match="no data yet"):
         send_command("pause", config=None, data_dir=tmp_path, note="why", author=None, as_json=False)
 
 
-def test_the_author_is_this_user_unless_named(
-    recorder: RecorderDouble, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_author_is_this_user_unless_named(recorder, monkeypatch):
     monkeypatch.setattr("getpass.getuser", lambda: "u" * 100)
     recorder.send("pause", note="why", author=None)
     assert recorder.seen[0][1] == "u" * 80

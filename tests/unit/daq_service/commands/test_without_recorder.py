@@ -6,9 +6,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from support.invented_rows import condition
 from support.new_experiment import new_catalogue
 
-from daq_service.alarms.states import Condition, Moment, update
+from daq_service.alarms.states import Moment, update
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.history import HistoryFollower, read_history
@@ -20,24 +21,14 @@ from daq_service.errors import BusyError
 from daq_service.processes.data_folder import own_data_folder
 
 NOW = Moment(utc_ns=9_000, due_h=9.0, set_index=None)
-HOLE = Condition(
-    position="B",
-    kind="no_reflection",
-    alarm_class="damage",
-    priority="high",
-    present=True,
-    latched=True,
-    message="a hole",
-)
+HOLE = condition(kind="no_reflection", latched=True)
 
 
 def ended_test(folder):
     """Fill a folder with one unacknowledged alarm and no recorder; return the id of the alarm."""
     with new_catalogue(folder) as catalogue:
-        change = update(None, HOLE, Moment(utc_ns=5, due_h=5.0, set_index=1))
-        assert change is not None
-        transaction = Transaction()
-        transaction.add_alarm(change, Moment(utc_ns=5, due_h=5.0, set_index=1))
+        raised, transaction = Moment(utc_ns=5, due_h=5.0, set_index=1), Transaction()
+        transaction.add_alarm(update(None, HOLE, raised), raised)
         (alarm_id,) = catalogue.commit_set(transaction).alarm_ids
         HistoryFollower(folder, catalogue).begin()
     return alarm_id

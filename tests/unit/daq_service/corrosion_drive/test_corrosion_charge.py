@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from support.scripted_supply import supply_parameters
 
 from daq_service.catalogue.rows import EnvironmentRow
 from daq_service.corrosion_drive.charge import (
@@ -19,12 +20,9 @@ from daq_service.corrosion_drive.charge import (
     restored_state,
 )
 from hardware_drivers.measurement import Stamp
-from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 FARADAY_C_PER_MOL = 96_485.332
-PARAMETERS = SupplyParameters(
-    line=SerialLineParameters(port="COM4"), identity="ANY", log_interval_s=10.0
-)  # longest gap 30 s
+PARAMETERS = supply_parameters()  # longest gap 30 s
 
 
 def integrated(times_s, current, longest_s=math.inf):

@@ -1,16 +1,17 @@
 """The supply seen from the line: the interlock after a restart, and the supply at the end of a test."""
 
 import pytest
+from support.invented_rows import condition
+from support.scripted_supply import supply_parameters
 from support.serial_rig import TestClock
 
 from daq_service.alarms.operator_actions import acknowledge
-from daq_service.alarms.states import Condition, Moment, update
+from daq_service.alarms.states import Moment, update
 from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.settings.rig import RigSettings
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import SupplyReading
-from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 MOMENT = Moment(utc_ns=0, due_h=1.0, set_index=None)
 
@@ -42,16 +43,8 @@ class EmptyCatalogue:
 
 def trip_alarm(*, acknowledged=False):
     """Return the stored alarm of a tripped interlock."""
-    condition = Condition(
-        position=None,
-        kind="interlock_tripped",
-        alarm_class="diagnostic",
-        priority="critical",
-        present=True,
-        message="hole at B",
-        evidence={},
-    )
-    row = update(None, condition, MOMENT).row
+    tripped = condition(position=None, kind="interlock_tripped", message="hole at B")
+    row = update(None, tripped, MOMENT).row
     return acknowledge(row, "Ada", "", MOMENT).row if acknowledged else row
 
 
@@ -59,9 +52,7 @@ def start_watch(*alarms, off_at_end=False):
     """Return a watch started with these alarms, its supply and the stored rows."""
     clock = TestClock()
     supply, stored = Supply(clock), []
-    settings = RigSettings(
-        supply=SupplyParameters(line=SerialLineParameters(port="COM4"), identity="ANY", off_at_end=off_at_end)
-    )
+    settings = RigSettings(supply=supply_parameters(off_at_end=off_at_end))
     rig = Rig(kind="simulated", clock=clock, striker=None, digitizer=None, supply=supply)
     known = {(row.position, row.kind): row for row in alarms}
 

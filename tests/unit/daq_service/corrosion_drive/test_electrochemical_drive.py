@@ -1,7 +1,7 @@
 """The corrosion supply control on a scripted supply and a manual clock."""
 
 import pytest
-from support.scripted_supply import ScriptedSupply
+from support.scripted_supply import ScriptedSupply, supply_parameters
 from support.serial_rig import TestClock
 
 from daq_service.catalogue.rows import EnvironmentRow
@@ -10,14 +10,11 @@ from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import SupplyLogger, no_supply, summary
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ClimateReading
-from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters, SupplyParameters
+from hardware_drivers.serial_port.parameters import ClimateParameters, SerialLineParameters
 
 INTERVAL_S = 10.0
 LINE = SerialLineParameters(port="COM4")
-PARAMETERS = SupplyParameters(
-    line=LINE,
-    identity="ANY",
-    log_interval_s=INTERVAL_S,
+PARAMETERS = supply_parameters(
     voltage_v=10.0,
     current_limit_a=1.0,
     interlock_current_a=0.9,
@@ -286,17 +283,15 @@ def test_a_silent_supply_trips_after_its_time_and_is_switched_off_later(energise
     assert energised.active() == {"interlock_tripped"}
 
 
-def test_silence_of_a_supply_that_was_switched_off_trips_nothing(energised):
-    energised.drive.switch_off("Ada")
-    energised.run(INTERVAL_S)
-    energised.supply.error = LOST
-    energised.run(1000.0)
-    assert energised.active() == {"supply_not_responding"}
-
-
-def test_silence_of_a_supply_that_was_found_off_trips_nothing():
+@pytest.mark.parametrize("off", ["command", "found"])
+def test_silence_of_a_supply_that_is_off_trips_nothing(off):
     bench = Bench()
-    bench.run(INTERVAL_S)
+    if off == "command":
+        bench.drive.energise("Ada")
+        bench.run(60.0)
+        bench.drive.switch_off("Ada")
+    bench.run(60.0)
+    assert (bench.active(), bench.drive.output()) == (set(), "off"), "which is no alarm"
     bench.supply.error = LOST
     bench.run(1000.0)
     assert bench.active() == {"supply_not_responding"}
@@ -310,13 +305,6 @@ def test_an_unreported_protection_is_named_as_a_possible_cause(energised):
     energised.supply.protection_unknown = "dialect korad asks no protection"
     energised.run(60.0)
     assert "a protection may have tripped: dialect korad" in energised.message("supply_off_unexpectedly")
-
-
-def test_switching_off_by_command_is_no_alarm(energised):
-    energised.drive.switch_off("Ada")
-    energised.run(60.0)
-    assert energised.active() == set()
-    assert energised.drive.output() == "off"
 
 
 def test_the_current_limit_raises_its_alarm():

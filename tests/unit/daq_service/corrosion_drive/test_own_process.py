@@ -7,7 +7,7 @@ from threading import Event
 from typing import Any
 
 import pytest
-from support.scripted_supply import ScriptedSupply
+from support.scripted_supply import ScriptedSupply, supply_parameters
 from support.serial_rig import TestClock
 
 from daq_service.clock import boot_name
@@ -22,12 +22,9 @@ from daq_service.corrosion_drive.supply_state import (
 from daq_service.errors import RigError
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
-from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 UNWATCHED_S = 600.0
-PARAMETERS = SupplyParameters(
-    line=SerialLineParameters(port="COM4"), identity="ANY", log_interval_s=10.0, unwatched_s=UNWATCHED_S
-)
+PARAMETERS = supply_parameters(unwatched_s=UNWATCHED_S)
 LOST = ConnectionLostError("the supply at COM4 is gone")
 ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "current_limit_a": None}
 
@@ -138,9 +135,7 @@ def test_an_unwatched_supply_is_switched_off_once_and_released(bench):
     assert not bench.supply.on
     assert bench.process.leaves
     kept = read_stored_state(bench.folder)
-    assert kept is not None
     assert (kept.output, kept.state.command) == ("off", None)
-    assert kept.state.tripped is not None
     assert kept.state.tripped.startswith("no recorder was heard for 600 s")
     # The next recorder finds it in the next process, and only a person's order ends it.
     bench.restart()
@@ -175,13 +170,13 @@ def test_a_silent_supply_is_switched_off_before_the_process_ends(bench):
     bench.supply.error = LOST
     bench.run(10 * UNWATCHED_S)
     assert not bench.process.leaves
-    assert read_supply_status(bench.folder).state == "unknown"  # type: ignore[union-attr]
-    assert read_supply_status(bench.folder).switch_off_pending  # type: ignore[union-attr]
+    assert read_supply_status(bench.folder).state == "unknown"
+    assert read_supply_status(bench.folder).switch_off_pending
     bench.supply.error = None
     bench.run(60.0)
     assert not bench.supply.on
     assert bench.process.leaves
-    assert not read_supply_status(bench.folder).switch_off_pending  # type: ignore[union-attr]
+    assert not read_supply_status(bench.folder).switch_off_pending
 
 
 def test_a_supply_without_power_after_the_switch_off_ends_the_process(bench):
@@ -275,7 +270,6 @@ def test_without_a_successor_that_reads_it_switches_off_itself(bench, successor)
     assert not bench.supply.on
     assert old.leaves
     kept = read_stored_state(bench.folder)
-    assert kept is not None
     assert successor != "none" or (kept.state.command, kept.output) == (None, "off")
 
 
@@ -315,7 +309,6 @@ def test_the_process_ends_only_after_the_output_reads_off(bench):
     bench.supply.current_a = 0.95
     bench.run(0.5 * UNWATCHED_S)
     kept = read_stored_state(bench.folder)
-    assert kept is not None
     assert (bench.process.leaves, kept.output) == (True, "off")
 
 
@@ -334,8 +327,11 @@ def test_a_full_disk_does_not_affect_the_supply_process(bench, monkeypatch):
     def full(*_):
         raise OSError("no space left on device")
 
+    bench.process.store_state(at_once=True)
     monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_stored_state", full)
     bench.ask()
+    bench.run(50.0)
+    assert bench.ask()["written_age_s"] == pytest.approx(50.0, abs=0.1)  # the clock's steps of 5 s
     bench.run(UNWATCHED_S + 60.0)
     assert not bench.supply.on
 
@@ -354,21 +350,10 @@ def test_a_disk_that_hangs_delays_neither_interlock_nor_unwatched_limit(tmp_path
     assert (len(jobs) > 1, read_stored_state(tmp_path)) == (True, None)
 
 
-def test_the_age_of_the_written_state_is_reported(bench, monkeypatch):
-    def full(*_):
-        raise OSError("no space left on device")
-
-    bench.process.store_state(at_once=True)
-    monkeypatch.setattr("daq_service.corrosion_drive.own_process.write_stored_state", full)
-    bench.run(50.0)
-    assert bench.ask()["written_age_s"] == pytest.approx(50.0, abs=0.1)  # the clock's steps of 5 s
-
-
 def test_the_process_switches_the_supply_off_when_it_ends(bench):
     bench.process.end()
     assert not bench.supply.on
     kept = read_stored_state(bench.folder)
-    assert kept is not None
     assert kept.state.tripped == "the process of the drive was stopped, and no other one watches"
 
 
@@ -447,7 +432,6 @@ def test_a_state_of_an_older_version_is_read(tmp_path):
             f'{{"state": {state % output_on}, {stored_fields}}}', encoding="utf-8"
         )
         kept = read_stored_state(tmp_path)
-        assert kept is not None
         assert kept.state.command == command
         assert (kept.state.tripped, kept.state.latched) == ("hole", {"supply_watchdog_trip"})
 
@@ -492,6 +476,5 @@ def test_a_reader_gets_the_age_of_the_supply_state(tmp_path, changes, age_s):
     kept = stored_state_now(DriveState(), output="on", age_s=2.0, good_for_s=30.0)
     write_stored_state(tmp_path, replace(kept, **changes(kept)))
     now = read_supply_status(tmp_path)
-    assert now is not None
     assert now.age_s == pytest.approx(age_s, abs=20.0)  # a busy machine is late
     assert (now.state, now.quality, now.last, now.process) == ("unknown", "no_communication", "on", False)

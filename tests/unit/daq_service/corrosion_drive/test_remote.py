@@ -6,7 +6,7 @@ from typing import Any
 
 import pytest
 from support.machine import clock_in_seconds
-from support.scripted_supply import ScriptedSupply
+from support.scripted_supply import ScriptedSupply, supply_parameters
 from support.serial_rig import TestClock
 
 from daq_service.clock import MachineClock
@@ -25,10 +25,9 @@ from daq_service.corrosion_drive.supply_state import (
 from daq_service.processes.data_folder import DRIVE_FILE
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.nanoseconds import NS_PER_S
-from hardware_drivers.serial_port.parameters import SerialLineParameters, SupplyParameters
 
 KEY = b"k" * 32
-PARAMETERS = SupplyParameters(line=SerialLineParameters(port="COM4"), identity="ANY", log_interval_s=10.0)
+PARAMETERS = supply_parameters()
 PATIENCE = 2000
 ON: dict[str, Any] = {"do": "energise", "author": "Ada", "voltage_v": None, "current_limit_a": None}
 
@@ -55,7 +54,7 @@ class Bench:
         self.remote = RemoteDrive(
             PARAMETERS,
             folder,
-            self.start,  # type: ignore[arg-type]
+            self.start,
             supply_port="COM4",
             machine=MachineClock(mono_ns=lambda: round(self.now_s * NS_PER_S), sleep=self.pause),
             kill=self.is_killed,
@@ -183,7 +182,6 @@ def test_a_missing_process_gives_an_unknown_state_with_its_age(bench):
     assert list(bench.active()) == ["supply_not_responding"]
     bench.now_s += 100.0
     row = bench.remote.row(0, 0.0)
-    assert row.supply_age_s is not None
     assert row.supply_age_s >= 100.0
     assert (row.unknown_s or 0.0) - unknown_s >= 100.0
     assert "nothing was sent to it" in bench.answer(bench.remote.energise("Ada"), step_s=1.0)
@@ -250,7 +248,6 @@ def test_a_process_that_hands_over_is_shown_until_it_has_released_the_supply(ben
             break
         bench.pause(0.01)
     assert bench.started == 1, "the lock is free for the successor"
-    assert bench.process is not None
     assert not bench.process.leaves, "the old one waits for it"
 
 
@@ -281,7 +278,6 @@ def test_at_the_end_a_process_that_does_not_answer_is_replaced_by_one_that_switc
     assert bench.now_s - before_s <= ENDS_WITHIN_S + 0.1
     assert (bench.killed, bench.process) == (1, None)
     bench.comes_up()
-    assert bench.process is not None
     bench.process.step()
     assert not bench.supply.on
 
@@ -310,7 +306,7 @@ class Guarded(Bench):
         self.remote = RemoteDrive(
             PARAMETERS,
             folder,
-            self.start,  # type: ignore[arg-type]
+            self.start,
             watches=False,
             machine=clock_in_seconds(lambda: self.now_s),
             kill=self.is_killed,
@@ -364,7 +360,6 @@ def test_the_guard_looks_again_at_an_output_that_was_off(guarded):
 
 def test_the_guard_replaces_a_process_that_stalls_and_is_no_recorder(guarded):
     guarded.comes_up()
-    assert guarded.process is not None
     guarded.process.answer({"id": 1, **ON})
     heard_ns = guarded.process._heard_ns
     guarded.look(20.0)
@@ -390,7 +385,6 @@ def test_the_first_process_starts_from_the_catalogue_a_later_one_from_the_file(b
     bench.remote.take_over(DriveState(charge=Charge(coulomb=7.0)))
     bench.remote.take_over(DriveState(charge=Charge(coulomb=1.0)))
     kept = read_stored_state(bench.folder)
-    assert kept is not None
     assert kept.state.charge.coulomb == 7.0
 
 

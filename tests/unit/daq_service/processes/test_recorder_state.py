@@ -7,10 +7,10 @@ import time
 from dataclasses import asdict
 
 import pytest
+from support.invented_rows import set_row
 from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import SetRow
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import boot_name
 from daq_service.commands.send import send_command
@@ -139,16 +139,7 @@ def folder(tmp_path):
 
 def stored_set(catalogue):
     """Store a gap: before the first row the web has no data."""
-    gap = SetRow(
-        set_index=0,
-        position="B",
-        method="solitary_wave",
-        due_utc_ns=0,
-        due_h=0.0,
-        state="missed",
-        cause="why",
-        n_planned=10,
-    )
+    gap = set_row(state="missed", cause="why")
     catalogue.commit_set(SetCommit(sets=[gap]))
 
 

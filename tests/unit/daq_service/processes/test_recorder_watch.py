@@ -5,11 +5,12 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import pytest
+from support.invented_rows import set_row
 from support.machine import clock_in_seconds
 from support.new_experiment import add_events, new_catalogue
 
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import AlarmRow, EventRow, SetRow
+from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.processes.heartbeat import Beat, Stage
 from daq_service.processes.recorder_state import RecorderStatus
 from daq_service.processes.recorder_watch import MOST_INTERVALS, STARTING_S, RecorderWatch
@@ -51,17 +52,7 @@ class Bench:
     def store(self):
         """Store the scheduled set that ended at this hour."""
         self.n_sets += 1
-        row = SetRow(
-            set_index=self.n_sets,
-            position="B",
-            method="solitary_wave",
-            due_utc_ns=0,
-            due_h=0.0,
-            ended_utc_ns=round(self.hour * NS_PER_H),
-            state="done",
-            n_planned=10,
-            file=f"sets/{self.n_sets}",
-        )
+        row = set_row(self.n_sets, ended_utc_ns=round(self.hour * NS_PER_H), file=f"sets/{self.n_sets}")
         self.catalogue.commit_set(SetCommit(sets=[row]))
 
     def run(self, hours, *, restarts_every_h=1e9):

@@ -1,13 +1,12 @@
 """An outlier causes an unscheduled set: taken at once, assessed, reported, and without other effects."""
 
-import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.life_of_a_test import run
 from support.memory_archive import MemoryArchive
-from support.memory_line import Line, healthy, memory_settings
+from support.memory_line import KilledError, Line, healthy, memory_settings
 from support.stored_files import read_set
 from support.table_rows import lose_catalogue, table_rows
 
@@ -18,7 +17,7 @@ from daq_service.assessment.confirmation import newest_confirmation
 from daq_service.catalogue.rows import AssessmentRow, CommandRow, FeatureRow, SetRow
 from daq_service.cli.maintenance.verify import verify_folder
 from daq_service.recording.reassessment.rebuild import rebuild
-from hardware_drivers.measurement import SetKey
+from hardware_drivers.measurement import SetKey, ShotKey
 
 SETS, FIRST = 22, 17
 """The first sick set; the baseline ends with set 15."""
@@ -51,9 +50,12 @@ def with_incident_wave(key):
 
 @pytest.fixture
 def line(tmp_path):
-    folder = tmp_path / "data"
-    folder.mkdir()
-    return Line(folder, settings(), deviating(*range(FIRST, SETS)))
+    return Line(tmp_path / "data", settings(), deviating(*range(FIRST, SETS)))
+
+
+def shot_after_first(shot_index):
+    """Return a shot of the confirmation set after the first sick one."""
+    return ShotKey(position="B", set_index=FIRST, unscheduled_index=1, shot_index=shot_index)
 
 
 def send_at(line, place, kind, **arguments):
@@ -200,25 +202,13 @@ def test_a_pause_ends_a_confirmation_set(line):
     line.run()
     (row,) = confirmation_rows(line)
     assert (row.state, row.n_taken, row.cause) == ("partial", 2, "held by Ada: hands in the rig")
-    assert confirmation_of_b(line).confirms is None
+    with line.catalogue() as catalogue:
+        assert newest_confirmation(catalogue, "B").confirms is None
     assert all(index not in range(FIRST + 1, SETS) for _, index, _, _ in line.instruments[0].struck)
 
 
-def confirmation_of_b(line):
-    with line.catalogue() as catalogue:
-        return newest_confirmation(catalogue, "B")
-
-
 def test_a_restart_during_a_confirmation_set_continues_it_once(line):
-    stop = threading.Event()
-
-    def stopping(key):
-        if (key.set_key, key.shot_index) == (AFTER_FIRST, 1):
-            stop.set()
-        return deviating(*range(FIRST, SETS))(key)
-
-    line.script = stopping
-    assert not line.run(stop=stop, archive=MemoryArchive(line.shelf))
+    assert not line.run(stop=line.stop_at(shot_after_first(1)), archive=MemoryArchive(line.shelf))
     line.script = deviating(*range(FIRST, SETS))
     assert line.run(archive=MemoryArchive(line.shelf))
     first, _ = confirmation_rows(line)
@@ -229,15 +219,8 @@ def test_a_restart_during_a_confirmation_set_continues_it_once(line):
 
 
 def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line):
-    stop = threading.Event()
-
-    def stopping(key):
-        if (key.set_key, key.shot_index) == (AFTER_FIRST, 3):
-            stop.set()
-        return with_incident_wave(key)
-
-    line.script = stopping
-    run(line, stop=stop)
+    line.script = with_incident_wave
+    run(line, stop=line.stop_at(shot_after_first(3)))
     line.script = with_incident_wave
     run(line)
     confirmations = [(row.set_key, row.diagnosis) for row in confirmation_rows(line, AssessmentRow)]
@@ -257,10 +240,6 @@ def test_the_result_of_a_confirmation_set_survives_a_restart_and_a_rebuild(line)
     assert verify_folder(line.folder).damage == []
 
 
-class Killed(BaseException):
-    """End of the process."""
-
-
 class DyingArchive(MemoryArchive):
     """Archive that is killed before or after it stores a confirmation set."""
 
@@ -271,13 +250,13 @@ class DyingArchive(MemoryArchive):
     def store_set(self, record):
         done = super().store_set(record) if self.stored or not record.unscheduled_index else None
         if record.unscheduled_index:
-            raise Killed
+            raise KilledError
         return done
 
 
 @pytest.mark.parametrize("stored", [True, False])
 def test_a_crash_at_its_file_leaves_one_confirmation_set(line, undisturbed, stored):
-    with pytest.raises(Killed):
+    with pytest.raises(KilledError):
         line.run(archive=DyingArchive(line, stored=stored))
     assert not confirmation_rows(line)
     line.run()
@@ -287,9 +266,9 @@ def test_a_crash_at_its_file_leaves_one_confirmation_set(line, undisturbed, stor
         for item in (line, undisturbed)
     ]
     assert rows[0] == rows[1]
-    ids = {"id": None, "sequence": None}
     features = [
-        [replace(row, **ids) for row in confirmation_rows(item, FeatureRow)] for item in (line, undisturbed)
+        [replace(row, id=None, sequence=None) for row in confirmation_rows(item, FeatureRow)]
+        for item in (line, undisturbed)
     ]
     assert features[0] == features[1]
 
@@ -302,15 +281,7 @@ def test_no_confirmation_set_is_taken_if_it_would_delay_a_scheduled_set(line):
 
 
 def test_a_confirmation_set_that_is_too_late_after_a_restart_is_closed_as_it_is(line):
-    stop = threading.Event()
-
-    def stopping(key):
-        if key.set_key == AFTER_FIRST:
-            stop.set()
-        return deviating(*range(FIRST, SETS))(key)
-
-    line.script = stopping
-    line.run(stop=stop, archive=MemoryArchive(line.shelf))
+    line.run(stop=line.stop_at(shot_after_first(0)), archive=MemoryArchive(line.shelf))
     line.script = deviating(*range(FIRST, SETS))
     line.run(start_h=9.6, archive=MemoryArchive(line.shelf))
     row = confirmation_rows(line)[0]

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 from support.crashed_recorders import LongerRecords, features_by_key
-from support.life_of_a_test import lived, run
+from support.life_of_a_test import run
 from support.memory_line import Line, healthy, memory_settings, silent
 from support.refused_recorders import Stop, Time, record
 from support.stored_files import read_set, set_files
@@ -31,19 +31,6 @@ from daq_service.recording.experiment import foreign_reason
 from daq_service.recording.reassessment import restore_rows
 from daq_service.recording.reassessment.rebuild import BUILDING, rebuild
 from hardware_drivers.measurement import SetKey, ShotKey
-
-
-@pytest.fixture(scope="module")
-def life(tmp_path_factory):
-    return lived(tmp_path_factory.mktemp("life"))
-
-
-@pytest.fixture
-def line(life, tmp_path):
-    """Return a copy of its folder."""
-    folder = tmp_path / "copy"
-    shutil.copytree(life.folder, folder)
-    return replace(life, folder=folder)
 
 
 def rebuild_catalogue(line, **options):
@@ -132,11 +119,8 @@ def test_the_files_alone_restore_all_rows_of_their_sets(line):
 
 def test_a_delayed_alarm_is_raised_by_the_same_set_after_restart_and_rebuild(tmp_path):
     kinds = {"few_valid_shots": {"on_delay_s": 3000.0, "off_delay_s": 3000.0}}
-    stop = threading.Event()
 
     def script(key):
-        if key == ShotKey(position="D", set_index=4, shot_index=3):
-            stop.set()
         return silent("noisy") if key.position == "D" and 2 <= key.set_index < 8 else healthy(key)
 
     line = Line(
@@ -144,8 +128,7 @@ def test_a_delayed_alarm_is_raised_by_the_same_set_after_restart_and_rebuild(tmp
         memory_settings(alarms={"kinds": kinds}, quality={"retire_after_sets": 0, "restrikes_per_set": 0}),
         script,
     )
-    line.folder.mkdir()
-    run(line, stop=stop)
+    run(line, stop=line.stop_at(ShotKey(position="D", set_index=4, shot_index=3)))
     assert line.rows("alarms") == []
     run(line)
     before = line.rows("alarms")
@@ -249,7 +232,6 @@ def test_results_are_computed_again_and_a_different_copy_causes_a_warning(line):
 
 def test_sets_of_two_experiments_are_refused_by_name(line, tmp_path):
     other = Line(tmp_path / "other", settings=memory_settings(chain={"drop_height_m": 3e-3}))
-    other.folder.mkdir()
     stop = threading.Event()
     # Within the second set: the journal keeps one that is cut short, and the first one has its file.
     other.script = lambda key: (key.set_index == 1 and stop.set()) or healthy(key)

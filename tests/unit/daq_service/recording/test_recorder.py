@@ -5,7 +5,8 @@ from dataclasses import replace
 
 import pytest
 from support.memory_archive import MemoryArchive
-from support.memory_line import SETS, Line, healthy, memory_settings, silent
+from support.memory_line import SETS, KilledError, Line, healthy, memory_settings, silent
+from support.refused_calls import refuse
 
 from daq_service.archive import ArchiveWriteError
 from daq_service.background.disk_watch import DiskWatch
@@ -19,16 +20,14 @@ from daq_service.recording.persistence import Persistence
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import StorageSettings
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
-from hardware_drivers.measurement import ShotKey
+from hardware_drivers.measurement import SetKey, ShotKey
 
 TRANSDUCERS = ("B", "C", "D")
 
 
 @pytest.fixture
 def line(tmp_path):
-    folder = tmp_path / "data"
-    folder.mkdir()
-    return Line(folder)
+    return Line(tmp_path / "data")
 
 
 def states(line, position):
@@ -43,10 +42,6 @@ def events_of(line, kind):
     return [row for row in line.rows("events") if row.kind == kind]
 
 
-class Killed(BaseException):
-    """End of the process."""
-
-
 class WatchedArchive(MemoryArchive):
     """Archive that records how many sets have rows when one is stored, and is killed at some."""
 
@@ -56,7 +51,7 @@ class WatchedArchive(MemoryArchive):
 
     def store_set(self, record):
         if record.set_index in self.refuse:
-            raise Killed
+            raise KilledError
         self.seen.append((record.set_index, len(self.line.rows("sets", "B"))))
         return super().store_set(record)
 
@@ -80,7 +75,7 @@ def test_a_set_is_durable_before_it_is_reported(line):
 
 
 def test_a_set_that_was_not_stored_has_no_rows_and_is_taken_again(line):
-    with pytest.raises(Killed):
+    with pytest.raises(KilledError):
         line.run(archive=WatchedArchive(line, refuse={3}))
     assert len(line.rows("sets", "B")) == 3
     assert line.run()
@@ -169,20 +164,23 @@ def test_sets_beyond_the_memory_are_missed_with_the_cause(line, monkeypatch):
     assert causes(line, "B")[5] == "the memory for what waits is full: No space left on device"
 
 
+LOCKED = CatalogueBusyError("database is locked")
+
+
+def refuse_commits(monkeypatch, when, *, times, **options):
+    refuse(monkeypatch, RecorderCatalogue, "commit_set", LOCKED, times=times, when=when, **options)
+
+
+def of_set_4(catalogue, transaction):
+    return any(row.set_index == 4 for row in transaction.sets)
+
+
 @pytest.mark.parametrize("stored_all_the_same", [False, True])
 def test_a_commit_that_failed_is_repeated_and_never_doubled(
     line, undisturbed, monkeypatch, stored_all_the_same
 ):
-    commit, failures = RecorderCatalogue.commit_set, iter([True] * 3)
-
-    def failing(catalogue, transaction):
-        if any(row.set_index == 4 for row in transaction.sets) and next(failures, False):
-            if stored_all_the_same:
-                commit(catalogue, transaction)
-            raise CatalogueBusyError("database is locked")
-        return commit(catalogue, transaction)
-
-    monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
+    before = RecorderCatalogue.commit_set if stored_all_the_same else lambda *_: None
+    refuse_commits(monkeypatch, of_set_4, times=3, before=before)
     assert line.run(mono_s=Seconds())
     assert_same_rows(line, undisturbed)
     assert "write_failed" in {row.kind for row in line.rows("alarms")}
@@ -190,41 +188,30 @@ def test_a_commit_that_failed_is_repeated_and_never_doubled(
 
 def test_a_set_missed_while_another_program_locks_the_catalogue_has_that_as_its_cause(line, monkeypatch):
     line.settings = memory_settings(clock={"kind": "wall"})
-    clock, commit, failures = (
-        SimulatedClock(parse_utc(line.settings.clock.epoch)),
-        RecorderCatalogue.commit_set,
-        iter([True] * 2),
-    )
+    clock = SimulatedClock(parse_utc(line.settings.clock.epoch))
 
-    def failing(catalogue, transaction):
-        if any(row.set_index == 4 for row in transaction.sets) and next(failures, False):
-            clock.wait_until(clock.utc_ns() + 2 * 1800 * 10**9, lambda: True)
-            raise CatalogueBusyError("database is locked")
-        return commit(catalogue, transaction)
+    def two_sets_later(*_):
+        clock.wait_until(clock.utc_ns() + 2 * 1800 * 10**9, lambda: True)
 
-    monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
+    refuse_commits(monkeypatch, of_set_4, times=2, before=two_sets_later)
     assert line.run(clock=clock, mono_s=Seconds())
     missed = {row.cause for row in line.rows("sets", "B") if row.state == "missed"}
     assert missed == {"the recorder waited for the disk: database is locked"}
 
 
 def test_the_recorder_waits_for_the_last_event_of_a_test(line, monkeypatch):
-    add, refusals = RecorderCatalogue.add_event, iter([True] * 2)
-
-    def failing(catalogue, *, kind, **values):
-        if kind == "schedule_done" and next(refusals, False):
-            raise CatalogueBusyError("database is locked")
-        return add(catalogue, kind=kind, **values)
-
-    monkeypatch.setattr(RecorderCatalogue, "add_event", failing)
+    is_last = lambda catalogue, *, kind, **values: kind == "schedule_done"  # noqa: E731
+    refuse(monkeypatch, RecorderCatalogue, "add_event", LOCKED, times=2, when=is_last)
     assert line.run(mono_s=Seconds())
     assert "schedule_done" in {row.kind for row in line.rows("events")}
     assert {row.state for row in line.alarms()} == {"returned_unacknowledged"}
 
 
+LAST_OF_SET_3 = ShotKey(position="D", set_index=3, shot_index=3)
+
+
 def test_a_stop_does_not_wait_for_the_disk(line, caplog):
-    stop, last = threading.Event(), ShotKey(position="D", set_index=3, shot_index=3)
-    line.script = lambda key: (stop.set() if key == last else None, healthy(key))[1]
+    stop = line.stop_at(LAST_OF_SET_3)
     assert not line.run(archive=FullDisk(line, 3, 10**9), stop=stop, mono_s=Seconds())
     assert len(line.rows("sets", "B")) == 3
     assert "jobs are lost that no disk took" in caplog.text
@@ -262,15 +249,10 @@ def test_simulated_time_does_not_outrun_the_files(line, monkeypatch):
 
 
 def test_the_alarm_of_sets_without_files_is_stored_though_the_catalogue_refused_it_first(line, monkeypatch):
-    worker, commit, refusals = SlowWorker(), RecorderCatalogue.commit_set, iter([True] * 3)
+    worker = SlowWorker()
     worker.trouble = "no file can be made"
-
-    def failing(catalogue, transaction):
-        if any(row.kind == "write_failed" for row in transaction.alarms) and next(refusals, False):
-            raise CatalogueBusyError("database is locked")
-        return commit(catalogue, transaction)
-
-    monkeypatch.setattr(RecorderCatalogue, "commit_set", failing)
+    of_the_alarm = lambda _, transaction: any(row.kind == "write_failed" for row in transaction.alarms)  # noqa: E731
+    refuse_commits(monkeypatch, of_the_alarm, times=3)
     assert line.run(compaction=worker, mono_s=Seconds())
     (alarm,) = [row for row in line.alarms() if row.kind == "write_failed"]
     assert (alarm.state, "no file can be made" in alarm.message) == ("unacknowledged", True)
@@ -338,33 +320,24 @@ def test_above_five_percent_free_the_test_continues_with_an_event_or_an_alarm(
 
 
 def test_a_stop_stores_pending_data_in_the_remaining_space(line, caplog):
-    stop, last = threading.Event(), ShotKey(position="D", set_index=3, shot_index=3)
-    volume = Volume(line, 2, 4.9, 10**9)
+    disk = Volume(line, 2, 4.9, 10**9).watch()
     line.settings = memory_settings(clock={"kind": "wall"})
-    line.script = lambda key: (stop.set() if key == last else None, volume.script(key))[1]
-    disk = volume.watch()
-    assert not line.run(disk=disk, stop=stop, mono_s=Seconds(1.0))
+    assert not line.run(disk=disk, stop=line.stop_at(LAST_OF_SET_3), mono_s=Seconds(1.0))
     assert states(line, "B") == ["done"] * 4
     assert not (line.folder / RESERVE_FILE).exists()
     assert "jobs are lost" not in caplog.text
 
 
-def test_a_restart_gives_the_rows_of_an_uninterrupted_run(line, tmp_path):
-    undisturbed = Line(tmp_path / "whole")
-    undisturbed.folder.mkdir()
-    undisturbed.run()
+def test_a_restart_gives_the_rows_of_an_uninterrupted_run(line, undisturbed):
     for count in (2, 5):  # within the baseline, twice
-        with pytest.raises(Killed):
+        with pytest.raises(KilledError):
             line.run(archive=WatchedArchive(line, refuse={count}))
     line.run()
-    for table in ("sets", "shots", "features", "assessments", "baselines", "alarms"):
-        assert line.rows(table) == undisturbed.rows(table), table
+    assert_same_rows(line, undisturbed)
+    assert line.rows("alarms") == undisturbed.rows("alarms")
 
 
-def test_a_file_without_rows_is_taken_over_and_not_struck_again(line, tmp_path):
-    undisturbed = Line(tmp_path / "whole")
-    undisturbed.folder.mkdir()
-    undisturbed.run()
+def test_a_file_without_rows_is_taken_over_and_not_struck_again(line, undisturbed):
     orphan = next(record for record in undisturbed.shelf.sets.values() if record.set_index == 0)
     MemoryArchive(line.shelf).store_set(orphan)
     line.run()
@@ -373,10 +346,7 @@ def test_a_file_without_rows_is_taken_over_and_not_struck_again(line, tmp_path):
     assert line.rows("shots", "B") == undisturbed.rows("shots", "B")
 
 
-def test_a_corrupt_file_without_rows_is_quarantined_with_an_alarm(line, tmp_path):
-    undisturbed = Line(tmp_path / "whole")
-    undisturbed.folder.mkdir()
-    undisturbed.run()
+def test_a_corrupt_file_without_rows_is_quarantined_with_an_alarm(line, undisturbed):
     for record in list(undisturbed.shelf.sets.values())[:2]:
         stored = MemoryArchive(line.shelf).store_set(record)
         line.shelf.damaged |= {(stored.file, item.sequence) for item in record.records}
@@ -392,10 +362,7 @@ def test_a_corrupt_file_without_rows_is_quarantined_with_an_alarm(line, tmp_path
     assert alarm.state == "returned_unacknowledged"
 
 
-def test_an_alarm_lost_in_a_crash_is_raised_by_the_next_start(line):
-    undisturbed = Line(line.folder.parent / "whole")
-    undisturbed.folder.mkdir()
-    undisturbed.run()
+def test_an_alarm_lost_in_a_crash_is_raised_by_the_next_start(line, undisturbed):
     archive = MemoryArchive(line.shelf)
     archive.set_aside(archive.store_set(next(iter(undisturbed.shelf.sets.values()))).file)
     line.run()
@@ -406,8 +373,9 @@ def test_a_recorder_without_its_supervisor_reports_it(line):
     stop, left_alone = threading.Event(), threading.Event()
     stop.set()
     left_alone.set()
-    line.run(stop=stop, left_alone=left_alone)
+    assert not line.run(stop=stop, left_alone=left_alone)
     assert line.rows("events")[-1].kind == "recorder_left_alone"
+    assert line.rows("sets") == [], "before the first strike it leaves the set due"
 
 
 def test_sets_whose_time_is_over_are_missed_with_the_cause(line):
@@ -455,22 +423,16 @@ def test_a_shot_whose_repetition_counts_is_not_averaged_in(line):
     assert row.amplitude_ratio == pytest.approx(mean, rel=1e-12)  # a mean in another order: rounding only
 
 
-def test_a_missed_strike_makes_a_set_partial_with_a_count(line):
-    line.script = lambda key: None if (key.position, key.set_index) == ("B", 1) else healthy(key)
-    line.run()
-    row = line.rows("sets", "B")[1]
-    assert (row.state, row.n_taken, row.n_missed, row.n_restrikes) == ("missed", 0, 6, 2)
-    assert row.cause == "6 missed: no trigger at B"
-    assert row.file is None
-    assert states(line, "C")[1] == "done"
-
-
 def test_a_set_without_records_has_rows_with_causes_and_no_file(line):
-    line.script = lambda key: None if key.set_index == 2 else healthy(key)
+    silences = lambda key: key.set_index == 2 or (key.position, key.set_index) == ("B", 1)  # noqa: E731
+    line.script = lambda key: None if silences(key) else healthy(key)
     line.run()
     assert {states(line, position)[2] for position in "ABCD"} == {"missed"}
-    assert 2 not in MemoryArchive(line.shelf).sets()
-    assert line.rows("sets", "B")[2].n_missed == 6
+    assert SetKey(2) not in MemoryArchive(line.shelf).sets()
+    for row in line.rows("sets", "B")[1:3]:
+        assert (row.state, row.n_taken, row.n_missed, row.n_restrikes) == ("missed", 0, 6, 2)
+        assert (row.cause, row.file) == ("6 missed: no trigger at B", None)
+    assert states(line, "C")[1] == "done"
 
 
 @pytest.mark.parametrize("kind", [BusyError, ConnectionLostError])
@@ -508,7 +470,7 @@ def test_a_rig_that_never_worked_ends_the_test_when_its_shots_are_stored(line):
 def test_an_error_of_a_rig_that_has_worked_costs_sets_and_not_the_test(line, restarted):
     broken = [ShotKey(position="C", set_index=index, shot_index=2) for index in (1, 2, 3)]
     if restarted:
-        with pytest.raises(Killed):
+        with pytest.raises(KilledError):
             line.run(archive=WatchedArchive(line, refuse={1}))
     line.script = failing_at(*broken)
     assert line.run()
@@ -519,15 +481,7 @@ def test_an_error_of_a_rig_that_has_worked_costs_sets_and_not_the_test(line, res
 
 
 def test_a_stop_leaves_the_set_open_and_the_remaining_strikes_due(line):
-    stop = threading.Event()
-
-    def script(key):
-        if key == ShotKey(position="C", set_index=1, shot_index=1):
-            stop.set()
-        return healthy(key)
-
-    line.script = script
-    assert not line.run(stop=stop)
+    assert not line.run(stop=line.stop_at(ShotKey(position="C", set_index=1, shot_index=1)))
     assert [states(line, position) for position in "BCD"] == [["done"]] * 3
     assert line.rows("events")[-1].kind == "recorder_stopped"
     line.script = healthy
@@ -537,27 +491,22 @@ def test_a_stop_leaves_the_set_open_and_the_remaining_strikes_due(line):
 
 def stop_in_set(line, key, **options):
     """Run with a journal until a stop or a kill after a shot."""
-    archive, stop = MemoryArchive(line.shelf), threading.Event()
-    line.script = lambda key_of_shot: (stop.set() if key_of_shot == key else None, healthy(key_of_shot))[1]
+    archive, stop = MemoryArchive(line.shelf), line.stop_at(key)
     assert not line.run(stop=stop, archive=archive, **options)
     line.script = healthy
     return MemoryArchive(line.shelf)
 
 
 @pytest.mark.parametrize("key", [("B", 0, 0), ("C", 1, 1), ("D", 7, 2)], ids=str)
-def test_an_interrupted_set_continues_with_its_missing_strikes(line, tmp_path, key):
+def test_an_interrupted_set_continues_with_its_missing_strikes(line, undisturbed, key):
     position, set_index, shot_index = key
-    undisturbed = Line(tmp_path / "whole")
-    undisturbed.folder.mkdir()
-    undisturbed.run()
-    last = ShotKey(position=position, set_index=set_index, shot_index=shot_index)
-    archive = stop_in_set(line, last)
+    archive = stop_in_set(line, ShotKey(position=position, set_index=set_index, shot_index=shot_index))
     assert len(line.rows("sets", "B")) == set_index
     assert line.run(archive=archive)
     before, after = (instruments.struck for instruments in line.instruments)
     assert before + after == undisturbed.instruments[0].struck
-    for table in ("sets", "shots", "features", "assessments", "baselines", "alarms"):
-        assert line.rows(table) == undisturbed.rows(table), table
+    assert_same_rows(line, undisturbed)
+    assert line.rows("alarms") == undisturbed.rows("alarms")
     assert archive.open_sets() == {}
 
 
@@ -594,11 +543,11 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
 
     def script(key):
         if key == killed_at:
-            raise Killed
+            raise KilledError
         return healthy(key)
 
     line.script = script
-    with pytest.raises(Killed):
+    with pytest.raises(KilledError):
         line.run(archive=MemoryArchive(line.shelf), acknowledged=sequences.append)
     (opened,) = line.shelf.open.values()
     assert [item.sequence for item in opened.records] == sequences == [1, 2, 3]
@@ -609,35 +558,24 @@ def test_in_real_time_each_shot_is_acknowledged_before_the_next_strike(line):
     assert states(line, "B") == ["done"] * SETS
 
 
-def test_a_failed_write_of_a_shot_is_reported_before_the_next_strike(line):
+def test_a_failed_write_of_a_shot_is_reported_before_the_next_strike(line, monkeypatch):
     """A set of the paper takes two minutes; the report must not wait for its end."""
     line.settings = memory_settings(clock={"kind": "wall"})
     archive, strikes = MemoryArchive(line.shelf), []
-    sync, refusals = archive.sync, iter([True] * 4)
-
-    def refusing():
-        if archive.shelf.open and next(refusals, False):
-            raise ArchiveWriteError("No space left on device")
-        return sync()
+    full = ArchiveWriteError("No space left on device")
+    refuse(monkeypatch, archive, "sync", full, times=4, when=lambda: archive.shelf.open)
 
     def script(key):
         strikes.append((key.position, key.shot_index, line.heartbeat.activities[-1:]))
         return healthy(key)
 
-    archive.sync, line.script = refusing, script
+    line.script = script
     assert line.run(archive=archive, mono_s=Seconds())
     (struck,) = next(doing for position, shot_index, doing in strikes if (position, shot_index) == ("B", 1))
     assert struck == "taking set 0; 1 jobs wait in memory for the disk: No space left on device"
     (alarm,) = [row for row in line.rows("alarms") if row.kind == "write_failed"]
     assert alarm.state == "returned_unacknowledged"
     assert states(line, "B") == ["done"] * SETS
-
-
-def test_a_stop_before_the_first_strike_leaves_the_set_due(line):
-    stop = threading.Event()
-    stop.set()
-    assert not line.run(stop=stop)
-    assert line.rows("sets") == []
 
 
 def test_a_stop_while_nothing_was_recorded_leaves_the_set_due(line):
@@ -681,10 +619,7 @@ def test_a_pause_misses_sets_with_its_reason_also_after_a_restart(line):
     line.order("pause", note="hands in the rig")
     assert line.run()
     assert line.instruments[0].struck == []
-    assert (
-        set(causes(line, "B")) == {"on hold by Ada: hands in the rig"}
-        or "hands in the rig" in causes(line, "B")[0]
-    )
+    assert set(causes(line, "B")) == {"held by Ada: hands in the rig"}
     assert {row.state for row in line.rows("sets")} == {"missed"}
 
 
@@ -732,21 +667,13 @@ def test_a_dry_run_raises_no_alarm_repeats_no_strike_and_is_marked(line):
     assert {tuple(shot.flags) for shot in line.rows("shots", "B")} == {("dry_run",)}
 
 
-def test_the_heartbeat_names_each_activity(line):
-    line.run()
-    activities = line.heartbeat.activities
-    assert (
-        activities.index("taking set 1")
-        < activities.index("storing set 1")
-        < activities.index("taking set 2")
-    )
-
-
 def test_a_waiting_recorder_sends_heartbeats(line):
     line.run()
     activities = line.heartbeat.activities
     waits = [f"waiting for set {index}" for index in range(SETS)]
     assert [doing for doing in dict.fromkeys(activities) if doing in waits] == waits
+    storing = activities.index("storing set 1")
+    assert activities.index("taking set 1") < storing < activities.index("taking set 2")
 
 
 class CalibratingBoards:
@@ -796,14 +723,7 @@ def test_a_look_at_commands_comes_at_most_once_per_interval(line, monkeypatch, l
 
 
 def test_a_catalogue_that_cannot_be_read_before_a_set_does_not_end_the_test(line, undisturbed, monkeypatch):
-    adopt, failures = SetAssessor.adopt, iter([True] * 2)
-
-    def failing(assessor):
-        if next(failures, False):
-            raise CatalogueBusyError("database is locked")
-        adopt(assessor)
-
-    monkeypatch.setattr(SetAssessor, "adopt", failing)
+    failures = refuse(monkeypatch, SetAssessor, "adopt", LOCKED, times=2)
     assert line.run(mono_s=Seconds())
     assert_same_rows(line, undisturbed)
     assert next(failures, None) is None, "it was refused twice"

@@ -1,6 +1,5 @@
 """A set becomes rows and alarms in one transaction; the state after a restart."""
 
-import threading
 from contextlib import contextmanager
 from dataclasses import replace
 
@@ -8,6 +7,7 @@ import numpy as np
 import pytest
 from support.memory_archive import MemoryArchive, bits
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
+from support.refused_calls import refuse
 from support.synthetic_records import Scene, waveform_of
 from support.table_rows import forget_states
 
@@ -30,9 +30,7 @@ from simulator.parameters.echo import EchoParameters
 
 @pytest.fixture
 def line(tmp_path):
-    folder = tmp_path / "data"
-    folder.mkdir()
-    return Line(folder)
+    return Line(tmp_path / "data")
 
 
 class Drive:
@@ -63,7 +61,6 @@ def recorded(line, count):
     line.run()
     records = {record.set_index: (record, file) for file, record in line.shelf.sets.items()}
     again = Line(line.folder.parent / "again", line.settings, line.script, line.shelf)
-    again.folder.mkdir()
     with assessor_of(again) as ledger:
         for index in range(count):
             assess_set(ledger, again, *records[index])
@@ -104,7 +101,6 @@ def test_a_restart_after_any_set_does_not_change_the_assessments(line):
         ("approved", False)
     ] * 3
     again = Line(line.folder.parent / "again", line.settings, line.script)
-    again.folder.mkdir()
     for record in sorted(line.shelf.sets.values(), key=lambda record: record.set_key):
         with assessor_of(again) as ledger:  # a new one for every set
             assess_set(ledger, again, record, f"sets/{record.set_index}")
@@ -150,7 +146,6 @@ def test_a_new_baseline_starts_with_the_next_scheduled_set(line):
     assert {(row.baseline_id, row.outlier) for row in assessments[33:]} == {(6, False)}
     assert [(row.state, row.approved_utc_ns) for row in line.rows("baselines", "C")] == [("proposed", None)]
     stopped = Line(line.folder.parent / "stopped", line.settings, listen_every_s=0.0)
-    stopped.folder.mkdir()
     script = renewing_script(stopped)
     for set_index in (17, 20, 32, 34):  # before, during and after the collection of the new baseline
         run_until(stopped, "D", set_index, script)
@@ -282,21 +277,12 @@ def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
         assert "D" not in ledger.retired()
 
 
-def ended_after(position, set_index, stop, script, last_shot=3):
-    """Return a script that stops the recorder at the last strike of a transducer in a set."""
-
-    def stopping_script(key):
-        if key == ShotKey(position=position, set_index=set_index, shot_index=last_shot):
-            stop.set()
-        return script(key)
-
-    return stopping_script
-
-
-def run_until(line, position, set_index, script):
-    stop, last_shot = threading.Event(), line.settings.schedule.shots_per_set - 1
-    line.script = ended_after(position, set_index, stop, script, last_shot)
-    assert not line.run(stop=stop)
+def run_until(line, position, set_index, script, **parts):
+    """Run until the last strike of a transducer in a set."""
+    line.script, last = script, line.settings.schedule.shots_per_set - 1
+    assert not line.run(
+        stop=line.stop_at(ShotKey(position=position, set_index=set_index, shot_index=last)), **parts
+    )
 
 
 def test_a_restart_restores_an_enabled_transducer(line):
@@ -348,9 +334,7 @@ class ThinningWall:
 
 
 def test_a_restart_measures_the_wall_from_the_first_echo_of_the_test(line):
-    stop = threading.Event()
-    line.script = ended_after("D", 5, stop, healthy)
-    assert not line.run(stop=stop, pulse_echo=ThinningWall())
+    run_until(line, "D", 5, healthy, pulse_echo=ThinningWall())
     line.script = healthy
     assert_rows_have_the_stored_states(line)
     line.run(pulse_echo=ThinningWall())
@@ -360,9 +344,7 @@ def test_a_restart_measures_the_wall_from_the_first_echo_of_the_test(line):
 
 
 def test_a_later_echo_is_the_reference_if_the_first_record_is_lost(line, caplog):
-    stop = threading.Event()
-    line.script = ended_after("D", 5, stop, healthy)
-    assert not line.run(stop=stop, pulse_echo=ThinningWall())
+    run_until(line, "D", 5, healthy, pulse_echo=ThinningWall())
     line.script = healthy
     for index in (0, 1):
         (file,) = (file for file, record in line.shelf.sets.items() if record.set_index == index)
@@ -401,16 +383,11 @@ def test_rows_alarms_and_events_of_a_set_are_one_transaction(line, monkeypatch):
         before = {
             name: len(again.rows(name)) for name in ("sets", "shots", "features", "assessments", "events")
         }
-        ledger_commit = RecorderCatalogue.commit_set
-
-        def refused(self, commit):
-            raise CatalogueWriteError("the disk is full")
-
-        monkeypatch.setattr(RecorderCatalogue, "commit_set", refused)
+        full = CatalogueWriteError("the disk is full")
+        refuse(monkeypatch, RecorderCatalogue, "commit_set", full, times=1)
         with pytest.raises(CatalogueWriteError):
             assess_set(ledger, again, *records[2])
         assert {name: len(again.rows(name)) for name in before} == before
-        monkeypatch.setattr(RecorderCatalogue, "commit_set", ledger_commit)
 
 
 def test_every_position_has_a_row_in_every_set(line):

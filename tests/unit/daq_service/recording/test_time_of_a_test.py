@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 from support.machine import NS_PER_H, NS_PER_S, Machine
-from support.memory_line import SETS, Line, healthy, memory_settings
+from support.memory_line import SETS, KilledError, Line, healthy, memory_settings
 
 from daq_service.clock import parse_utc, wall
 from daq_service.errors import UsageError
@@ -17,10 +17,6 @@ from hardware_drivers.measurement import ShotKey
 IN_2010_NS = parse_utc("2010-01-01T00:00:00Z")
 INTERVAL_H = 0.5
 DOWN = "the recorder was down"
-
-
-class Killed(BaseException):
-    """End of the process."""
 
 
 class Laboratory:
@@ -55,10 +51,10 @@ class Laboratory:
         """Run a recorder that is killed after some hours."""
 
         def kill():
-            raise Killed
+            raise KilledError
 
         self.machine.after(hours, kill)
-        with pytest.raises(Killed):
+        with pytest.raises(KilledError):
             self.run()
 
     def event_payloads(self, kind):
@@ -68,7 +64,6 @@ class Laboratory:
     @property
     def doing(self):
         beat = read_heartbeat(self.line.folder)
-        assert beat is not None
         return beat.doing
 
 

@@ -77,7 +77,6 @@ def test_the_other_tables_have_the_values_of_the_paper(tmp_path):
         assert getattr(laboratory, table) == getattr(simulated, table), table
     assert laboratory.names_of("pulse_echo") == simulated.names_of("pulse_echo")
     boards, adc = laboratory.rig.daqmx, simulated.twin.adc
-    assert boards is not None
     assert (boards.sample_rate_hz, boards.record_samples, boards.pretrigger_samples) == (
         adc.sample_rate_hz,
         adc.record_samples,
@@ -124,7 +123,6 @@ def test_the_environment_may_fill_in(tmp_path, monkeypatch):
         load(tmp_path, text)
     monkeypatch.setenv("SOLIMON_RIG__SUPPLY__IDENTITY", "MAKER,MODEL,1")
     supply = load(tmp_path, text).rig.supply
-    assert supply is not None
     assert supply.identity == "MAKER,MODEL,1"
 
 

@@ -10,7 +10,7 @@ def service(filled):
         yield running
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def api(service):
     with service.client() as client:
         yield client

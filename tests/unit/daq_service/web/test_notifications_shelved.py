@@ -3,24 +3,13 @@
 from dataclasses import replace
 
 import pytest
+from support.invented_rows import alarm_row
 
-from daq_service.catalogue.rows import AlarmRow, EventRow
+from daq_service.catalogue.rows import EventRow
 from daq_service.catalogue.writer import payload_of
 from daq_service.processes.notifications.messages import alarm_change_of
 
-ROW = AlarmRow(
-    id=3,
-    position="B",
-    kind="wall_change",
-    alarm_class="damage",
-    priority="high",
-    state="unacknowledged",
-    raised_utc_ns=0,
-    raised_h=1.0,
-    changed_utc_ns=0,
-    message="why",
-    evidence={},
-)
+ROW = alarm_row(id=3)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,7 @@
 import posixpath
 import re
 
+import httpx
 import pytest
 from support.served_web import brought, served
 
@@ -40,6 +41,26 @@ def test_every_file_is_served_with_its_type(api, name):
     assert PRELOADED.sub(b"", answer.content) == (FOLDER / name).read_bytes()
     kind = {"js": "text/javascript", "css": "text/css", "html": "text/html", "svg": "image/svg+xml"}
     assert answer.headers["content-type"].startswith(kind.get(name.rpartition(".")[2], "text/plain"))
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "../tokens.json",
+        "%2e%2e/tokens.json",
+        "..%2f..%2ftokens.json",
+        "..%5c..%5ctokens.json",
+        "/etc/passwd",
+        "%2fetc%2fpasswd",
+        "main.js%00.css",
+        "NUL",
+        "con.js",
+        "C:%5ctokens.json",
+    ],
+)
+def test_no_path_escapes_the_files_of_the_page(api, path):
+    answer = api.get(httpx.URL(f"{api.base_url}static/{path}"))
+    assert answer.status_code in {400, 404}
 
 
 def test_the_page_names_every_module_that_it_needs_at_once():

@@ -6,7 +6,6 @@ import io
 import h5py
 import pytest
 from support.filled_folder import filled_folder
-from support.served_web import served
 
 from hardware_drivers.measurement import SetKey
 
@@ -22,12 +21,6 @@ def filled(tmp_path_factory):
         )
         (folder.folder / "sets" / "set_000009_secret.h5").write_bytes(b"not the catalogue's")
         yield folder
-
-
-@pytest.fixture(scope="module")
-def api(filled):
-    with served(filled.settings, filled.folder) as service, service.client() as client:
-        yield client
 
 
 @pytest.fixture(scope="module")

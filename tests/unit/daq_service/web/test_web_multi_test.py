@@ -2,7 +2,6 @@
 
 import asyncio
 import shutil
-import sqlite3
 from contextlib import ExitStack
 from dataclasses import dataclass
 
@@ -12,6 +11,7 @@ from prometheus_client.openmetrics.parser import text_string_to_metric_families
 from support.filled_folder import FilledFolder, filled_folder
 from support.reported_alarms import notifying
 from support.served_web import Served, brought, served, served_app, stream_events, take
+from support.table_rows import execute
 from support.waiting import until
 
 from daq_service import client as solimon_client
@@ -220,10 +220,7 @@ def test_an_unreadable_folder_is_listed_with_its_remedy_and_disturbs_no_other(tm
     (damaged / "catalogue.sqlite").write_bytes(b"no database at all" * 1000)
     for suffix in ("-wal", "-shm"):
         (damaged / f"catalogue.sqlite{suffix}").unlink(missing_ok=True)
-    database = sqlite3.connect(other / "catalogue.sqlite")
-    database.execute("UPDATE alembic_version SET version_num = '9999'")
-    database.commit()
-    database.close()
+    execute(other, "UPDATE alembic_version SET version_num = '9999'")
     refused.write_text("[chain]\nmass_kg = -1.0")
     before = sorted(path for path in tmp_path.rglob("*") if not path.name.startswith("catalogue.sqlite-"))
     paths = [missing, empty, foreign, damaged, other, refused, several.twin.folder]

@@ -32,12 +32,6 @@ def filled(tmp_path_factory):
         yield folder
 
 
-@pytest.fixture(scope="module")
-def api(service):
-    with service.client() as client:
-        yield client
-
-
 def exported(api, position, form, **query):
     answer = api.get(f"/api/v1/waveforms/{position}", params={"format": form, **query})
     assert answer.status_code == 200, answer.text

@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 from support.filled_folder import LIMIT_CHART, filled_folder
+from support.invented_rows import set_row
 from support.served_web import served
 from support.small_experiment import AtOnce
 
 from daq_service import client
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import SetRow, ThicknessRow
+from daq_service.catalogue.rows import ThicknessRow
 from daq_service.cli.main import cli
 from daq_service.errors import UsageError
 from daq_service.settings.tree import Settings
@@ -64,17 +65,8 @@ def give(folder):
 
 
 def missed(folder, index):
-    due = folder.due[index]
-    return SetRow(
-        set_index=index,
-        position="D",
-        method="solitary_wave",
-        state="missed",
-        due_utc_ns=due.due_utc_ns,
-        due_h=due.due_h,
-        cause="held",
-        n_planned=1,
-    )
+    due = {"due_utc_ns": folder.due[index].due_utc_ns, "due_h": folder.due[index].due_h}
+    return set_row(index, "D", **due, state="missed", cause="held", n_planned=1)
 
 
 def as_shown(text):

@@ -49,12 +49,6 @@ def filled(tmp_path_factory):
         yield folder
 
 
-@pytest.fixture(scope="module")
-def api(filled):
-    with served(filled.settings, filled.folder) as service, service.client() as client:
-        yield client
-
-
 def get(api, path):
     answer = api.get(path)
     assert answer.status_code == 200, answer.text

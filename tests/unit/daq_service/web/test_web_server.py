@@ -4,7 +4,6 @@ import asyncio
 import queue
 import socket
 import threading
-from contextlib import contextmanager
 
 import httpx
 import pytest
@@ -95,13 +94,6 @@ def test_stop_does_not_wait_for_a_client_that_does_not_read(filled):
 # Limits of connections, requests and responses
 
 
-@contextmanager
-def connection_to(service):
-    host, _, port = service.netloc.partition(":")
-    with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as client:
-        yield client
-
-
 def everything_from(client):
     """Read until the service closes the connection."""
     return b"".join(iter(lambda: client.recv(65536), b""))
@@ -112,14 +104,14 @@ def everything_from(client):
 )
 def test_missing_headers_end_the_connection(filled, monkeypatch, request_start):
     monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.05)
-    with served(filled.settings, filled.folder) as service, connection_to(service) as client:
+    with served(filled.settings, filled.folder) as service, service.connection() as client:
         client.sendall(request_start)
         assert everything_from(client).startswith(b"HTTP/1.1 408 ")
 
 
 def test_a_second_request_of_a_connection_is_waited_for_as_the_first(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.05)
-    with served(filled.settings, filled.folder) as service, connection_to(service) as client:
+    with served(filled.settings, filled.folder) as service, service.connection() as client:
         client.sendall(b"GET /healthz HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /healthz HT")
         answers = everything_from(client)
     assert answers.count(b"HTTP/1.1 200 ") == 1
@@ -130,7 +122,7 @@ def test_a_response_is_not_interrupted_by_a_slow_next_request(filled, monkeypatc
     monkeypatch.setattr("daq_service.web.bounded_http.HEADERS_WITHIN_S", 0.01)
     waited, polls = BoundedHttp._check_waiting, []
     monkeypatch.setattr(BoundedHttp, "_check_waiting", lambda self: (polls.append(self), waited(self)))
-    with served(filled.settings, filled.folder) as service, connection_to(service) as client:
+    with served(filled.settings, filled.folder) as service, service.connection() as client:
         client.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\nGET /healthz HT")
         until(lambda: len(polls) > 3, "the next request's headers being waited for")
         service.stop.set()
@@ -141,7 +133,7 @@ def test_a_response_is_not_interrupted_by_a_slow_next_request(filled, monkeypatc
 
 @pytest.mark.parametrize("ended", [False, True])
 def test_headers_without_end_are_refused(filled, ended):
-    with served(filled.settings, filled.folder) as service, connection_to(service) as client:
+    with served(filled.settings, filled.folder) as service, service.connection() as client:
         client.sendall(b"GET / HTTP/1.1\r\nHost: 127.0.0.1\r\nConnection: close\r\n")
         client.sendall(b"X-Large: " + b"a" * LARGEST_HEADERS_BYTES + (b"\r\n\r\n" if ended else b""))
         answer = everything_from(client)
@@ -151,7 +143,7 @@ def test_headers_without_end_are_refused(filled, ended):
 
 def test_a_missing_body_is_not_waited_for(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.guards.BODY_WITHIN_S", 0.05)
-    with served(filled.settings, filled.folder) as service, connection_to(service) as client:
+    with served(filled.settings, filled.folder) as service, service.connection() as client:
         client.sendall(b"POST /api/v1/commands HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n{")
         answer = everything_from(client)
     assert answer.startswith(b"HTTP/1.1 408 ")
@@ -160,8 +152,8 @@ def test_a_missing_body_is_not_waited_for(filled, monkeypatch):
 
 def test_more_connections_than_are_served_get_a_503(filled, monkeypatch):
     monkeypatch.setattr("daq_service.web.server.MOST_CONNECTIONS", 3)
-    with served(filled.settings, filled.folder) as service, connection_to(service) as stream:
-        with service.client() as first, connection_to(service) as other:
+    with served(filled.settings, filled.folder) as service, service.connection() as stream:
+        with service.client() as first, service.connection() as other:
             for item in (stream, other):
                 item.sendall(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
                 assert item.recv(4096).startswith(b"HTTP/1.1 200 ")

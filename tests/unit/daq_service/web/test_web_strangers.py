@@ -1,13 +1,12 @@
 """Invalid requests: malformed, repeated, cross-site, anonymous, or incomplete."""
 
 import select
-import socket
 import sys
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, suppress
 
 import pytest
 from support.filled_folder import filled_folder
-from support.served_web import DEADLINE_S, served
+from support.served_web import served
 from support.waiting import until
 
 from daq_service.commands.registry import KINDS
@@ -64,7 +63,7 @@ def test_a_malformed_origin_is_foreign(api, origin):
 )
 def test_a_duplicate_single_header_is_rejected(service, name, values):
     lines = [f"{name}: {value}" for value in values] + ([] if name == "Host" else ["Host: 127.0.0.1"])
-    with connection_to(service) as client:
+    with service.connection() as client:
         client.sendall(
             "\r\n".join(["GET /api/v1/stream HTTP/1.1", *lines, "Connection: close", "", ""]).encode()
         )
@@ -186,14 +185,6 @@ def test_revoking_without_tokens_does_not_require_tokens(tmp_path):
 # Connections
 
 
-@contextmanager
-def connection_to(service, request_start=b""):
-    host, _, port = service.netloc.partition(":")
-    with socket.create_connection((host, int(port)), timeout=DEADLINE_S) as client:
-        client.sendall(request_start)
-        yield client
-
-
 def _closed(clients):
     return len(select.select(clients, [], [], 0)[0])
 
@@ -219,10 +210,10 @@ def test_connections_with_an_incomplete_request_are_limited(filled, monkeypatch,
     monkeypatch.setattr(bounded_http, "LOOK_EVERY_S", 0.02)
     with served(filled.settings, filled.folder) as service, ExitStack() as opened:
         stream = opened.enter_context(
-            connection_to(service, b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
+            service.connection(b"GET /api/v1/stream HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
         )
         assert stream.recv(4096).startswith(b"HTTP/1.1 200 ")
-        clients = [opened.enter_context(connection_to(service, request_start)) for _ in range(8)]
+        clients = [opened.enter_context(service.connection(request_start)) for _ in range(8)]
         until(lambda: _closed(clients) == 5, "all but three to be closed")
         with service.client() as api:
             assert api.get("/healthz").status_code == 200
@@ -232,7 +223,7 @@ def test_connections_with_an_incomplete_request_are_limited(filled, monkeypatch,
 def test_above_the_connection_limit_the_longest_idle_one_is_closed(filled, monkeypatch):
     monkeypatch.setattr(server, "MOST_CONNECTIONS", 2)
     with served(filled.settings, filled.folder) as service, ExitStack() as opened:
-        clients = [opened.enter_context(connection_to(service)) for _ in range(4)]
+        clients = [opened.enter_context(service.connection()) for _ in range(4)]
         until(lambda: _closed(clients) == 3, "all but the newest to be closed")
         assert not _closed(clients[-1:])
         with service.client() as api:  # it frees its place, too

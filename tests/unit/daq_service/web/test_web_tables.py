@@ -17,7 +17,6 @@ import silx.io.nxdata
 from pyarrow import parquet
 from scipy.io import loadmat
 from support.filled_folder import LIMIT_CHART, filled_folder, frozen_baseline
-from support.served_web import served
 
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.published_columns import with_parts
@@ -60,12 +59,6 @@ def filled(tmp_path_factory):
         whole = {"priority": "critical", "kind": "disk_space", "message": "Ø, 5 %"}
         folder.shelve(folder.add_alarm(None, 50, state="acknowledged", **whole), "a disk comes", for_h=72.0)
         yield folder
-
-
-@pytest.fixture(scope="module")
-def api(filled):
-    with served(filled.settings, filled.folder) as service, service.client() as client:
-        yield client
 
 
 @pytest.fixture

@@ -2,8 +2,8 @@
 
 import pytest
 
-from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring
 from hardware_drivers.daqmx.connection import Connection
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.errors import ConnectionLostError
 
 pytest.importorskip("nidaqmx")

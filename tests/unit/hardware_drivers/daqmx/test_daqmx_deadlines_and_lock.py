@@ -8,9 +8,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, open_daqmx
 from hardware_drivers.daqmx.client_lock import ClientLock
 from hardware_drivers.daqmx.connection import client_name
+from hardware_drivers.daqmx.instruments import open_daqmx
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.errors import BusyError, ConfigurationError
 
 

@@ -7,9 +7,13 @@ from dataclasses import replace
 import pytest
 from pydantic import TypeAdapter, ValidationError
 
-from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, WatchdogWiring
 from hardware_drivers.daqmx.coil import CAP_S
-from hardware_drivers.daqmx.parameters import LONGEST_PULSE_S
+from hardware_drivers.daqmx.parameters import (
+    LONGEST_PULSE_S,
+    DaqmxParameters,
+    TransducerWiring,
+    WatchdogWiring,
+)
 
 B = TransducerWiring(board_serial="01A2B3C4")
 C = TransducerWiring(board_serial="01A2B3C4", input="ai1", counter="ctr1", output_terminal="PFI13")

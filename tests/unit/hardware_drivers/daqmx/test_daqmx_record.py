@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hardware_drivers.daqmx import TransducerWiring
 from hardware_drivers.daqmx.acquisition import Acquisition, _calibration
+from hardware_drivers.daqmx.parameters import TransducerWiring
 from hardware_drivers.errors import ConnectionLostError
 from hardware_drivers.measurement import Calibration
 

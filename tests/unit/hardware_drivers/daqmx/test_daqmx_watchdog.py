@@ -4,9 +4,10 @@ from types import SimpleNamespace
 
 import pytest
 
-from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring, WatchdogWiring
 from hardware_drivers.daqmx.coil import Coil, _commit_watchdog
 from hardware_drivers.daqmx.look import board_findings
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring, WatchdogWiring
+from hardware_drivers.daqmx.survey import Survey
 from hardware_drivers.errors import AcquisitionTimeoutError
 
 
@@ -105,10 +106,11 @@ def test_watchdogs_that_contradict_each_other_are_refused():
         two_boards(watchdogs=(watchdog("1E18096"), watchdog("BEEF")))
 
 
-def test_a_board_that_drives_a_coil_without_a_watchdog_is_a_warning():
+def test_a_board_that_drives_a_coil_without_a_watchdog_is_a_warning(monkeypatch):
+    monkeypatch.setattr("hardware_drivers.daqmx.look.survey_rig", Survey)
+
     def looked(**changes):
-        survey = SimpleNamespace(driver_version="", findings=(), boards=(), noise_rms_v={})
-        seen = board_findings(two_boards(**changes), lambda _: survey, shot_interval_s=4.0)
+        seen = board_findings(two_boards(**changes), shot_interval_s=4.0)
         return {finding.subject: finding.state for finding in seen if "watchdog" in finding.subject}
 
     assert looked() == {}

@@ -32,7 +32,7 @@ def found(source, wanted=WANTED, **mapping):
     with open_tdms(source, TdmsMapping(**mapping) if mapping else None, positions=wanted) as shots:
         return {
             (key.position, key.set_index, key.shot_index): int(shots.find(key).waveform.counts[0])
-            for key in shots.keys
+            for key in shots.places
         }
 
 

@@ -103,7 +103,7 @@ def test_a_shot_in_place_of_an_echo_is_reported():
 
 def test_sets_are_read_when_asked_for_and_few_are_kept():
     reader = Reader()
-    source = ShotsBySet({"A": "pulse_echo", "B": "solitary_wave", "C": "solitary_wave"}, reader, sets_kept=2)
+    source = ShotsBySet({"A": "pulse_echo", "B": "solitary_wave", "C": "solitary_wave"}, reader)
     assert reader.asked == []
 
     def ask(set_index):
@@ -117,8 +117,6 @@ def test_sets_are_read_when_asked_for_and_few_are_kept():
         ask(set_index)
     # Set 8 was the one asked for least lately when set 9 came, and was read again.
     assert reader.asked == [7, 8, 9, 8]
-    with pytest.raises(ValueError, match="sets_kept is 0"):
-        ShotsBySet({}, reader, sets_kept=0)
 
 
 def test_a_set_that_was_not_recorded_has_no_shots_and_is_read_once():

@@ -343,7 +343,7 @@ def test_times_are_exact_to_the_nanosecond(tmp_path):
     shots = [make_shot("B", index, 40 + index) for index in range(3)]
     write_set(tmp_path, 7, shots)
     with open_tdms(tmp_path) as recording:
-        assert [recording.utc_ns(shot.key) for shot in shots] == [shot.stamp.utc_ns for shot in shots]
+        assert [recording.places[shot.key].utc_ns for shot in shots] == [shot.stamp.utc_ns for shot in shots]
         moments = [shot.stamp.utc_ns for shot in shots]
         assert recording.next_moment(0) == moments[0]
         assert recording.next_moment(moments[0]) == moments[1]
@@ -353,7 +353,7 @@ def test_times_are_exact_to_the_nanosecond(tmp_path):
 def test_a_record_without_a_time_has_none(tmp_path):
     one_channel(tmp_path, SHOT.waveform.counts, without(RAW, "wf_start_time"))
     with open_tdms(tmp_path) as shots:
-        assert shots.utc_ns(KEY) is None
+        assert shots.places[KEY].utc_ns is None
         assert shots.next_moment(0) is None
 
 
@@ -387,7 +387,7 @@ def test_properties_may_supply_all_settings(tmp_path):
     patterns = {"file_pattern": ".*", "group_pattern": ".*", "channel_pattern": ".*"}
     mapping = {"position_property": "Channel", "set_property": "Set", "shot_property": "Shot number"}
     with open_tdms(tmp_path / "data.tdms", TdmsMapping(**patterns, **mapping, first_shot=1)) as shots:
-        assert shots.keys == [KEY]
+        assert list(shots.places) == [KEY]
         assert shots.positions == {"B": "solitary_wave"}
     with pytest.raises(ConfigurationError, match="property 'Sets' that tells the set is missing"):
         open_tdms(tmp_path, TdmsMapping(**patterns, **mapping | {"set_property": "Sets"}))
@@ -420,11 +420,14 @@ def test_appended_records_are_shots_of_one_channel(tmp_path):
     one_channel(tmp_path, counts, RAW, name="Voltage")
     mapping = {"channel_pattern": "Voltage", "appended": True, "shot_interval_s": 4.0}
     with open_tdms(tmp_path, TdmsMapping(**mapping)) as shots:
-        assert [key.shot_index for key in shots.keys] == [0, 1, 2]
+        assert [key.shot_index for key in shots.places] == [0, 1, 2]
         for number in (2, 0, 1):
             found = shots.find(replace(KEY, shot_index=number))
             assert found.waveform.counts.tolist() == counts[300 * number : 300 * (number + 1)].tolist()
-            assert shots.utc_ns(replace(KEY, shot_index=number)) == SHOT.stamp.utc_ns + number * 4_000_000_000
+            assert (
+                shots.places[replace(KEY, shot_index=number)].utc_ns
+                == SHOT.stamp.utc_ns + number * 4_000_000_000
+            )
     with pytest.raises(
         ConfigurationError,
         match="900 samples are not a whole number of records of 400; correct record_samples",
@@ -460,7 +463,7 @@ def test_unmatched_files_are_skipped_and_no_match_is_an_error_with_the_names(tmp
     write(tmp_path / "set_7.tdms", channels)
     (tmp_path / "notes.tdms").write_text("not looked into: its name does not match")
     with open_tdms(tmp_path) as shots:
-        assert shots.keys == [KEY]
+        assert list(shots.places) == [KEY]
     with pytest.raises(
         ConfigurationError, match=r"correct the patterns; names found: .*set_7.tdms/Log/room temp"
     ):
@@ -474,7 +477,7 @@ def test_an_empty_channel_was_not_recorded(tmp_path):
     ]
     write(tmp_path / "set_7.tdms", channels)
     with open_tdms(tmp_path) as shots:
-        assert shots.keys == [KEY]
+        assert list(shots.places) == [KEY]
         assert shots.find(replace(KEY, shot_index=2)) is None
 
 
@@ -534,7 +537,7 @@ def cut_or_whole(folder):
     """Error of opening, or the keys that were found."""
     try:
         with open_tdms(folder) as recording:
-            return recording.keys
+            return list(recording.places)
     except ConfigurationError as error:
         return str(error)
 
@@ -565,7 +568,7 @@ def test_an_index_file_next_to_the_data_file_is_ignored(tmp_path):
     write_set(tmp_path, 7, [SHOT])
     path.with_name(f"{path.name}_index").write_bytes(index)
     with open_tdms(tmp_path) as shots:
-        assert shots.keys == [KEY]
+        assert list(shots.places) == [KEY]
 
 
 def test_a_writer_that_crashed_leaves_an_unfinished_segment_whose_whole_records_count(tmp_path):
@@ -594,7 +597,7 @@ def test_a_file_damaged_anywhere_gives_our_error_or_a_record(tmp_path):
         path.write_bytes(damaged)
         try:
             with open_tdms(tmp_path) as recording:
-                for key in recording.keys:
+                for key in recording.places:
                     assert recording.find(key).waveform.counts.size
         except ConfigurationError:
             refused += 1

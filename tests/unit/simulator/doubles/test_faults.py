@@ -10,8 +10,8 @@ from support.waiting import ended, happened
 from simulator.doubles.chassis.description import default_description
 from simulator.doubles.device_model import Brain
 from simulator.doubles.faults import KINDS, Faults, wrong_answer
+from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, Role
 from simulator.doubles.vendor_api.statuses import TEXTS, Status
-from simulator.doubles.vendor_api.table import TABLE
 
 
 class DeathError(Exception):
@@ -176,14 +176,14 @@ def test_a_lying_rate_looks_coerced(brain, me):
     assert rate_hz == pytest.approx(10e6, rel=0.02)
 
 
-@pytest.mark.parametrize("entry", TABLE.values(), ids=lambda entry: entry.name)
+@pytest.mark.parametrize("entry", ENTRY_POINTS.values(), ids=lambda entry: entry.name)
 def test_every_call_that_answers_can_lie(entry):
     outputs = [parameter for parameter in entry.parameters if parameter.goes_out]
     truth = {}
     for parameter in outputs:
-        if parameter.role.value == "out_text":
+        if parameter.role is Role.OUT_TEXT:
             truth[parameter.name] = "something"
-        elif parameter.role.value == "out_array":
+        elif parameter.role is Role.OUT_ARRAY:
             truth[parameter.name] = np.arange(2, 12)
         else:
             truth[parameter.name] = 8

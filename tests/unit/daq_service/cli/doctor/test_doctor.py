@@ -4,14 +4,14 @@ import json
 import sys
 import time
 import tomllib
-from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path, PureWindowsPath
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import pytest
-from support.small_experiment import run, small_settings
+from support.kept_folder import lay_out
+from support.small_experiment import small_settings
 
 from daq_service.cli.doctor.check import Check, check_of_finding, exit_code
 from daq_service.cli.doctor.command import run_doctor
@@ -27,13 +27,12 @@ from daq_service.cli.forecast import (
     stored_bytes,
 )
 from daq_service.errors import BusyError, UsageError
-from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
+from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, settings_of_folder
 from daq_service.settings.file import config_file
 from daq_service.settings.instruments import instruments_of
-from daq_service.settings.tree import Settings
+from daq_service.settings.tree import Settings, StorageSettings
 from hardware_drivers.daqmx.look import board_findings, digital_name
-from hardware_drivers.daqmx.survey import BoardFacts
-from hardware_drivers.kinds import Finding
+from hardware_drivers.daqmx.survey import Survey, trigger_text
 
 VALUES = tomllib.loads(config_file("laboratory.toml").read_text("utf-8").replace("PLACEHOLDER", "FFFFFFFF"))
 LABORATORY = Settings(**VALUES).rig
@@ -289,8 +288,8 @@ def test_a_new_folder_passes_and_is_not_created(tmp_path):
 
 
 def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path):
-    settings = small_settings(schedule={"end_h": 1.0}, storage=AMPLE)
-    assert run(settings, tmp_path)
+    settings, _ = settings_of_folder(None, lay_out(tmp_path))
+    settings = settings.model_copy(update={"storage": StorageSettings(**AMPLE)})
     checks = by_name(storage_checks(settings, tmp_path))
     assert {item.state for item in checks.values()} == {"ok"}
     assert checks["disk: space"].values["stored_bytes"] == sum(
@@ -308,8 +307,7 @@ def test_a_folder_of_the_same_test_passes_with_its_counts(tmp_path):
 
 
 def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path):
-    settings = small_settings(schedule={"end_h": 1.0})
-    assert run(settings, tmp_path)
+    settings, _ = settings_of_folder(None, lay_out(tmp_path))
     for name in ("catalogue.sqlite", "experiment.json", "history.jsonl"):
         (tmp_path / name).unlink()
     own = by_name(storage_checks(settings, tmp_path))
@@ -322,14 +320,21 @@ def test_a_lost_catalogue_fails_and_the_sets_identify_the_test(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("free", "state"), [(10 * 10**9, "ok"), (600 * 10**6, "warn"), (300 * 10**6, "fail")]
+    ("free_gb", "total_gb", "state"),
+    [
+        (10.0, 10, "ok"),
+        (0.6, 10, "warn"),
+        (0.3, 10, "fail"),
+        # A full volume is reported even if the test would fit.
+        (210.0, 1000, "ok"),
+        (190.0, 1000, "warn"),
+        (90.0, 1000, "warn"),
+        (49.0, 1000, "fail"),
+    ],
 )
-def test_the_disk_is_compared_with_the_plan(tmp_path, monkeypatch, free, state):
-    class Usage:
-        total = 10_000_000_000
-
-    Usage.free = free  # type: ignore[attr-defined]
-    monkeypatch.setattr("daq_service.processes.disk_policy.shutil.disk_usage", lambda place: Usage)
+def test_the_disk_is_compared_with_the_plan(tmp_path, monkeypatch, free_gb, total_gb, state):
+    usage = SimpleNamespace(free=round(free_gb * 1e9), total=total_gb * 10**9)
+    monkeypatch.setattr("daq_service.processes.disk_policy.shutil.disk_usage", lambda place: usage)
     found = by_name(storage_checks(Settings(), tmp_path))["disk: space"]
     assert found.state == state
     assert found.values["needed_bytes"] == stored_bytes(Settings(), 425)
@@ -346,13 +351,6 @@ def test_confirmation_sets_are_forecast_as_an_upper_bound():
     assert most_confirmation_bytes(Settings(alarms={"confirmation_sets_a_day": 0}), 350.0) == 0
 
 
-@pytest.mark.parametrize(("free", "state"), [(210, "ok"), (190, "warn"), (90, "warn"), (49, "fail")])
-def test_a_full_volume_is_reported_even_if_the_test_would_fit(tmp_path, monkeypatch, free, state):
-    usage = SimpleNamespace(free=free * 10**9, total=10**12)
-    monkeypatch.setattr("daq_service.processes.disk_policy.shutil.disk_usage", lambda place: usage)
-    assert by_name(storage_checks(Settings(), tmp_path))["disk: space"].state == state
-
-
 # Owner ----------------------------------------------------------------------------------------------
 
 
@@ -365,38 +363,27 @@ def recorder_error(folder):
         return str(error)
 
 
-def test_no_recorder_starts_while_the_doctor_strikes(tmp_path, capsys, monkeypatch):
+@pytest.mark.parametrize(
+    ("does", "strike", "refusal"),
+    [("strike_transducer", "B", "another recorder owns"), ("rig_checks", None, "")],
+    ids=["strikes", "looks"],
+)
+def test_no_recorder_starts_while_the_doctor_strikes(tmp_path, capsys, monkeypatch, does, strike, refusal):
+    """While it only looks, a restarted recorder finds its folder unlocked: else its test would end."""
     folder = tmp_path / "data"
     prepare_data_folder(folder)
     assert recorder_error(folder) == "", "a recorder was here"
     seen = []
 
-    def striking(settings, position):
+    def doing(*arguments, **driven):
         seen.append(recorder_error(folder))
-        return Trial(position=position, checks=())
+        return Trial(position="B", checks=()) if strike else []
 
-    monkeypatch.setattr("daq_service.cli.doctor.command.strike_transducer", striking)
-    run_doctor(config=coarse(tmp_path), data_dir=folder, strike="B", as_json=True)
+    monkeypatch.setattr(f"daq_service.cli.doctor.command.{does}", doing)
+    run_doctor(config=coarse(tmp_path), data_dir=folder, strike=strike, as_json=True)
     capsys.readouterr()
-    assert "another recorder owns" in seen[0]
+    assert refusal in seen[0] if refusal else seen == [""]
     assert recorder_error(folder) == ""
-
-
-def test_a_restarted_recorder_finds_its_folder_unlocked_during_the_doctor(tmp_path, capsys, monkeypatch):
-    """With a locked folder it would end with a final exit code, and its supervisor would end the test."""
-    folder = tmp_path / "data"
-    prepare_data_folder(folder)
-    assert recorder_error(folder) == "", "a recorder was here"
-    seen = []
-
-    def looking(*arguments, **driven):
-        seen.append(recorder_error(folder))
-        return []
-
-    monkeypatch.setattr("daq_service.cli.doctor.command.rig_checks", looking)
-    run_doctor(config=coarse(tmp_path), data_dir=folder, strike=None, as_json=True)
-    capsys.readouterr()
-    assert seen == [""]
 
 
 def test_an_unreadable_lock_counts_as_a_running_recorder(tmp_path, monkeypatch):
@@ -420,65 +407,55 @@ def test_a_folder_without_a_recorder_is_left_unchanged(tmp_path):
 # Boards, with what the driver would find ------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class SurveyResult:
-    """Survey with given results: `hardware_drivers.daqmx.survey.survey` has its own tests."""
+@pytest.fixture
+def checks_with_driver(monkeypatch):
+    """Return the checks of the laboratory's boards by name; the survey finds a driver and nothing else."""
 
-    findings: tuple[Finding, ...] = ()
-    driver_version: str = "24.8.0"
-    boards: tuple[BoardFacts, ...] = ()
-    noise_rms_v: dict[str, float] = field(default_factory=dict)
+    def checks(driver_version="24.8.0", shot_interval_s=4.0):
+        assert LABORATORY.daqmx is not None
+        survey = Survey(LABORATORY.daqmx, driver_version=driver_version)
+        monkeypatch.setattr("hardware_drivers.daqmx.look.survey_rig", lambda _: survey)
+        found = board_findings(LABORATORY.daqmx, shot_interval_s=shot_interval_s)
+        return by_name([check_of_finding(finding) for finding in found])
 
-
-def checks_by_name(found, *, shot_interval_s=4.0):
-    assert LABORATORY.daqmx is not None
-    seen = board_findings(LABORATORY.daqmx, lambda _: found, shot_interval_s=shot_interval_s)
-    return by_name([check_of_finding(finding) for finding in seen])
+    return checks
 
 
 @pytest.mark.parametrize(
     ("version", "state"), [("24.8.0", "ok"), ("20.1.0", "ok"), ("20.0.0", "fail"), ("9.5", "fail")]
 )
-def test_the_driver_s_version_is_compared_by_numbers(version, state):
-    found = checks_by_name(SurveyResult(driver_version=version))["driver: version"]
+def test_the_driver_s_version_is_compared_by_numbers(checks_with_driver, version, state):
+    found = checks_with_driver(version)["driver: version"]
     assert (found.state, found.found) == (state, f"NI-DAQmx {version} (at least 20.1)")
 
 
-def test_a_driver_that_was_not_reached_has_no_version():
-    assert "driver: version" not in checks_by_name(SurveyResult(driver_version=""))
+def test_a_driver_that_was_not_reached_has_no_version(checks_with_driver):
+    assert "driver: version" not in checks_with_driver("")
 
 
-def test_a_faulty_board_of_another_program_is_no_failure():
-    broken = {"check": "answers", "state": "fail", "detail": "it does not answer"}
-    checks = checks_by_name(
-        SurveyResult(
-            findings=(
-                Finding(subject="board 01C16021", **broken),
-                Finding(subject="board FFFFFFFF", **broken),
-            )
-        )
-    )
+def test_a_faulty_board_of_another_program_is_no_failure(monkeypatch):
+    nameless = SimpleNamespace(name="", product_type="")
+    listed = {"01C16021": nameless, "FFFFFFFF": nameless}
+    monkeypatch.setattr("hardware_drivers.daqmx.survey.installed", lambda _: listed)
+    assert LABORATORY.daqmx is not None
+    survey = Survey(LABORATORY.daqmx)
+    survey.list_boards(cast(Any, None), ours={"FFFFFFFF"})
+    checks = by_name([check_of_finding(finding) for finding in survey.findings])
     assert checks["board 01C16021: answers"].state == "warn"
     assert checks["board FFFFFFFF: answers"].state == "fail"
     assert "faults-daqmx.md" in checks["board FFFFFFFF: answers"].remedy, "the driver named none"
 
 
-def test_settings_accepted_by_a_board_are_reported_with_units():
-    finding = Finding(subject="transducer B", check="trigger", state="ok", detail="committed as asked")
-    assert checks_by_name(SurveyResult(findings=(finding,)))["transducer B: trigger"].found == (
-        "committed as asked: 0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"
+def test_the_accepted_trigger_is_reported_with_units():
+    assert LABORATORY.daqmx is not None
+    assert trigger_text(LABORATORY.daqmx, LABORATORY.daqmx.transducers["B"]) == (
+        "0.25 V rising at ai0, 1000 of 13600 samples before it, held off for 10 ms"
     )
 
 
-def test_the_noise_is_in_the_values():
-    finding = Finding(subject="transducer C", check="noise", state="ok", detail="5 mV rms")
-    found = checks_by_name(SurveyResult(findings=(finding,), noise_rms_v={"C": 5e-3}))["transducer C: noise"]
-    assert found.values == {"noise_rms_v": 5e-3, "trigger_level_v": 0.25}
-
-
 @pytest.mark.parametrize(("interval_s", "state"), [(4.0, "ok"), (0.4, "ok"), (0.39, "warn")])
-def test_a_coil_with_a_high_duty_cycle_causes_a_warning(interval_s, state):
-    found = checks_by_name(SurveyResult(), shot_interval_s=interval_s)["coils: duty cycle"]
+def test_a_coil_with_a_high_duty_cycle_causes_a_warning(checks_with_driver, interval_s, state):
+    found = checks_with_driver(shot_interval_s=interval_s)["coils: duty cycle"]
     assert (found.state, found.values["duty"]) == (state, pytest.approx(0.1 / interval_s, rel=1e-12))
 
 

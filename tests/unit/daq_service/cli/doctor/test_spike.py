@@ -10,7 +10,7 @@ from analysis.waves.coil_spike import EdgeSpike, SpikeSurvey
 from analysis.waves.features import ShotFeatures
 from daq_service.cli.doctor import spike, trial
 from daq_service.settings.tree import Settings
-from hardware_drivers.daqmx import DaqmxParameters, TransducerWiring
+from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import ShotKey
 

@@ -235,12 +235,6 @@ def test_an_array_that_is_no_table_is_refused(tmp_path, array):
     assert "a.npy" in bad["refused"]
 
 
-def test_objects_are_not_unpickled(tmp_path):
-    np.save(tmp_path / "a.npy", np.array([[{}]], dtype=object), allow_pickle=True)
-    (bad,) = assessed_sensors(tmp_path / "a.npy", "--baseline-rows", 20)
-    assert bad["refused"].endswith("no .npy file of numbers, rows x features")
-
-
 @pytest.mark.parametrize(("name", "message"), [("a.txt", "not .txt"), ("a", "one without ending")])
 def test_a_file_of_an_unknown_kind_is_a_usage_error(tmp_path, name, message):
     (tmp_path / name).write_text("1", encoding="utf-8")

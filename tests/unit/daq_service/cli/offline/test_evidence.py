@@ -13,7 +13,6 @@ import h5py
 import pytest
 from support.command_line import solimon_here
 from support.drifting_wall import RAISED, drifting_wall
-from support.life_of_a_test import lived
 
 from analysis.waves.features import EXTRACTOR_VERSION
 from daq_service.assessment.baseline_lifecycle import approve
@@ -29,11 +28,6 @@ from daq_service.recording.reassessment.replay import replayed
 @pytest.fixture(scope="module")
 def line(tmp_path_factory):
     return drifting_wall(tmp_path_factory.mktemp("drifting"))
-
-
-@pytest.fixture(scope="module")
-def life(tmp_path_factory):
-    return lived(tmp_path_factory.mktemp("life"))
 
 
 @pytest.fixture

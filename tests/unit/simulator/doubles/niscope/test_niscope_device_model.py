@@ -13,19 +13,8 @@ from hardware_drivers.measurement import ShotKey
 from simulator.doubles.chassis.description import ProbeWiring
 from simulator.doubles.chassis.scopes import ScopeParameters
 from simulator.doubles.niscope.device_model import NiscopeBrain
-from simulator.doubles.vendor_api.niscope_entry_points import WAVEFORM_INFO
-from simulator.doubles.vendor_api.niscope_statuses import (
-    ACQUISITION_IN_PROGRESS,
-    ATTRIBUTE_NOT_SUPPORTED,
-    HARDWARE_FAILURE,
-    INITIATE_NOT_CALLED,
-    INSUFFICIENT_MEMORY,
-    INVALID_SESSION,
-    INVALID_VALUE,
-    MAX_TIME_EXCEEDED,
-    MESSAGES,
-    UNKNOWN_CHANNEL,
-)
+from simulator.doubles.niscope.pulsers import WAVEFORM_INFO
+from simulator.doubles.vendor_api import statuses
 from simulator.doubles.vendor_api.statuses import Status
 from simulator.parameters.electronics import NoiseParameters
 from simulator.parameters.experiment import EchoParameters, TwinParameters
@@ -178,39 +167,47 @@ def timing(**changes):
 @pytest.mark.parametrize(
     ("name", "arguments", "code"),
     [
-        ("ConfigureHorizontalTiming", timing(min_sample_rate=2e8), INVALID_VALUE),
-        ("ConfigureHorizontalTiming", timing(num_records=0), INVALID_VALUE),
-        ("ConfigureHorizontalTiming", timing(min_num_pts=2**25), INSUFFICIENT_MEMORY),
+        ("ConfigureHorizontalTiming", timing(min_sample_rate=2e8), statuses.SCOPE_INVALID_VALUE),
+        ("ConfigureHorizontalTiming", timing(num_records=0), statuses.SCOPE_INVALID_VALUE),
+        ("ConfigureHorizontalTiming", timing(min_num_pts=2**25), statuses.SCOPE_INSUFFICIENT_MEMORY),
         (
             "ConfigureChanCharacteristics",
             {"input_impedance": 75.0, "max_input_frequency": 0.0},
-            INVALID_VALUE,
+            statuses.SCOPE_INVALID_VALUE,
         ),
-        ("GetAttributeViReal64", {"attribute_id": 42}, ATTRIBUTE_NOT_SUPPORTED),
-        ("SetAttributeViInt32", {"attribute_id": 1250010, "value": 1.0}, ATTRIBUTE_NOT_SUPPORTED),
-        ("GetAttributeViReal64", {"attribute_id": 1250001, "channel_list": "7"}, UNKNOWN_CHANNEL),
-        ("GetChannelNameFromString", {"indices": "0,5", "buffer_size": 0}, INVALID_VALUE),
-        ("FetchBinary16", {"timeout": 0.0, "num_samples": 1}, INITIATE_NOT_CALLED),
-        ("Abort", {"vi": 99}, INVALID_SESSION),
+        ("GetAttributeViReal64", {"attribute_id": 42}, statuses.SCOPE_ATTRIBUTE_NOT_SUPPORTED),
+        (
+            "SetAttributeViInt32",
+            {"attribute_id": 1250010, "value": 1.0},
+            statuses.SCOPE_ATTRIBUTE_NOT_SUPPORTED,
+        ),
+        (
+            "GetAttributeViReal64",
+            {"attribute_id": 1250001, "channel_list": "7"},
+            statuses.SCOPE_UNKNOWN_CHANNEL,
+        ),
+        ("GetChannelNameFromString", {"indices": "0,5", "buffer_size": 0}, statuses.SCOPE_INVALID_VALUE),
+        ("FetchBinary16", {"timeout": 0.0, "num_samples": 1}, statuses.SCOPE_INITIATE_NOT_CALLED),
+        ("Abort", {"vi": 99}, statuses.SCOPE_INVALID_SESSION),
     ],
 )
 def test_an_invalid_call_is_refused_with_its_number(scope, name, arguments, code):
     with refused(code):
         scope(name, **arguments)
-    assert scope("error_message", error_code=code)["error_message"] == MESSAGES[code]
+    assert scope("error_message", error_code=code)["error_message"] == statuses.TEXTS[code]
 
 
 def test_the_last_error_of_a_session_is_kept(scope):
-    with refused(INITIATE_NOT_CALLED):
+    with refused(statuses.SCOPE_INITIATE_NOT_CALLED):
         scope("FetchBinary16", timeout=0.0, num_samples=1)
-    assert scope("GetError", buffer_size=0)["error_code"] == INITIATE_NOT_CALLED
+    assert scope("GetError", buffer_size=0)["error_code"] == statuses.SCOPE_INITIATE_NOT_CALLED
 
 
 def test_settings_do_not_change_while_an_acquisition_runs(scope):
     scope.configure()
     scope("InitiateAcquisition")
     for name in ("Commit", "InitiateAcquisition"):
-        with refused(ACQUISITION_IN_PROGRESS):
+        with refused(statuses.SCOPE_ACQUISITION_IN_PROGRESS):
             scope(name)
     scope("SetAttributeViInt32", attribute_id=1150079, value=3)
     assert scope("ActualNumWfms", channel_list="0")["num_wfms"] == RECORDS - 3
@@ -258,7 +255,7 @@ def test_only_a_trigger_that_the_sync_crosses_is_one(clock, configured, triggers
     if triggers:
         assert scope.fetch(timeout_s=0.0)[0].any()
         return
-    with refused(MAX_TIME_EXCEEDED):
+    with refused(statuses.SCOPE_MAX_TIME_EXCEEDED):
         scope.fetch(timeout_s=0.0)
 
 
@@ -269,7 +266,7 @@ def test_an_acquisition_is_done_with_its_last_sample(clock, delay_s):
     # Firings at 1, 2 ... 16 ms; the last record ends 20.48 us (and its delay) later.
     done_s = 16e-3 + delay_s + SAMPLES / 100e6
     clock.now_s = done_s - 1e-7
-    with refused(MAX_TIME_EXCEEDED):
+    with refused(statuses.SCOPE_MAX_TIME_EXCEEDED):
         scope.fetch(timeout_s=0.0)
     clock.now_s = done_s + 1e-7
     assert len(scope.fetch(timeout_s=0.0)[1]) == RECORDS
@@ -278,10 +275,10 @@ def test_an_acquisition_is_done_with_its_last_sample(clock, delay_s):
 @pytest.mark.parametrize(
     ("end", "code"),
     [
-        (lambda scope: scope("Abort"), INITIATE_NOT_CALLED),
-        (lambda scope: scope.brain.unplug(SERIAL), HARDWARE_FAILURE),
-        (lambda scope: scope("close"), INVALID_SESSION),
-        (lambda scope: scope.brain.client_gone("1"), INVALID_SESSION),
+        (lambda scope: scope("Abort"), statuses.SCOPE_INITIATE_NOT_CALLED),
+        (lambda scope: scope.brain.unplug(SERIAL), statuses.SCOPE_HARDWARE_FAILURE),
+        (lambda scope: scope("close"), statuses.SCOPE_INVALID_SESSION),
+        (lambda scope: scope.brain.client_gone("1"), statuses.SCOPE_INVALID_SESSION),
     ],
     ids=["abort", "unplug", "close", "client gone"],
 )

@@ -7,20 +7,21 @@ import struct
 import pytest
 
 from simulator.doubles.niscope.device_model import ANSWERED
-from simulator.doubles.vendor_api.entry_points import FLOAT64, INT16, INT32, UINT16, UINT32, Role
-from simulator.doubles.vendor_api.niscope_entry_points import NISCOPE_ENTRY_POINTS, WAVEFORM_INFO
+from simulator.doubles.niscope.pulsers import WAVEFORM_INFO
+from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, Role
 
 niscope = pytest.importorskip("niscope", reason='needs the extra "solimon[niscope]"')
 from niscope import _library, waveform_info  # noqa: E402
 
 C_TYPES = {
-    INT16: ctypes.c_int16,
-    UINT16: ctypes.c_uint16,
-    INT32: ctypes.c_int32,
-    UINT32: ctypes.c_uint32,
-    FLOAT64: ctypes.c_double,
+    "int16_t": ctypes.c_int16,
+    "uint16_t": ctypes.c_uint16,
+    "int32_t": ctypes.c_int32,
+    "uint32_t": ctypes.c_uint32,
+    "double": ctypes.c_double,
 }
 TEXT = ctypes.POINTER(ctypes.c_char)
+NISCOPE_ENTRY_POINTS = [entry for entry in ENTRY_POINTS.values() if entry.library == "niScope"]
 INFO = ctypes.POINTER(waveform_info.struct_niScope_wfmInfo)
 
 
@@ -58,11 +59,11 @@ def declared():
 def c_type(parameter):
     match parameter.role:
         case Role.VALUE:
-            return C_TYPES[parameter.scalar]
+            return C_TYPES[parameter.c_type]
         case Role.TEXT | Role.OUT_TEXT:
             return TEXT
-        case Role.OUT | Role.OUT_ARRAY if parameter.scalar in C_TYPES:
-            return ctypes.POINTER(C_TYPES[parameter.scalar])
+        case Role.OUT | Role.OUT_ARRAY if parameter.c_type in C_TYPES:
+            return ctypes.POINTER(C_TYPES[parameter.c_type])
         case Role.OUT_ARRAY:
             return INFO
     return ctypes.POINTER(ctypes.c_uint16)

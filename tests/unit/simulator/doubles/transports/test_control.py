@@ -18,7 +18,7 @@ from simulator.doubles.transports.control import DoublesControl, running_doubles
 from simulator.doubles.transports.control_server import ControlServer
 from simulator.doubles.transports.server import WireServer
 from simulator.doubles.vendor_api import wire
-from simulator.doubles.vendor_api.table import TABLE
+from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS
 
 DESCRIPTION = one_board_description()
 POLL_S = 0.01
@@ -112,7 +112,7 @@ def connect(library):
 
 
 def ask(connection, name, **arguments):
-    entry = TABLE[name]
+    entry = ENTRY_POINTS[name]
     wire.send_frame(connection, encode_call(entry, arguments))
     return decode_answer(entry, arguments, wire.receive_frame(connection))
 

@@ -7,26 +7,17 @@ from pathlib import Path
 
 import pytest
 
+from simulator import doubles
 from simulator.doubles.device_model import HANDLERS, TASK_HANDLERS
 from simulator.doubles.transports.c_source import library_source
-from simulator.doubles.vendor_api import entry_points as table
+from simulator.doubles.vendor_api import statuses
 from simulator.doubles.vendor_api.attributes import ATTRIBUTES
-from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, Role, Tail
-from simulator.doubles.vendor_api.statuses import TEXTS
-from simulator.doubles.vendor_api.table import TABLE
+from simulator.doubles.vendor_api.entry_points import ENTRY_POINTS, HANDLE, Role, Tail
 
 nidaqmx = pytest.importorskip("nidaqmx")
 PACKAGE = Path(nidaqmx.__file__).parent
 
-NUMBERS = {
-    table.INT16: "int16",
-    table.UINT16: "uint16",
-    table.INT32: "int32",
-    table.UINT32: "uint32",
-    table.UINT64: "uint64",
-    table.FLOAT64: "float64",
-    table.BYTE: "uint8",
-}
+OF_DAQMX = {name: entry for name, entry in ENTRY_POINTS.items() if entry.library == "nidaqmx"}
 C_NUMBERS = {
     "ctypes.c_int": "int32",
     "ctypes.c_int32": "int32",
@@ -95,11 +86,10 @@ def expected(parameter):
             return "out text"
         case Role.UNUSED:
             return "out uint32"
-    number = "handle" if parameter.scalar is table.HANDLE else NUMBERS[parameter.scalar]
-    number = {
-        Role.ARRAY: f"array of {number}",
-        Role.OUT_ARRAY: f"array of {number}",
-    }.get(parameter.role, number)
+    c_type = parameter.c_type.removesuffix("_t")
+    number = {HANDLE: "handle", "double": "float64"}.get(c_type, c_type)
+    if parameter.role in (Role.ARRAY, Role.OUT_ARRAY):
+        number = f"array of {number}"
     return f"out {number}" if parameter.goes_out else number
 
 
@@ -107,7 +97,7 @@ PAIRS = {"DAQmxSetDigitalPowerUpStates", "DAQmxGetDigitalPowerUpStates"}
 """Their types depend on how many pairs are passed: they are met in `test_library_client`."""
 
 
-@pytest.mark.parametrize("name", sorted(set(ENTRY_POINTS) - PAIRS))
+@pytest.mark.parametrize("name", sorted(set(OF_DAQMX) - PAIRS))
 def test_parameters_are_those_that_nidaqmx_declares(name):
     assert name in DECLARED, "nidaqmx never calls this entry point: it does not belong into the table"
     entry = ENTRY_POINTS[name]
@@ -120,7 +110,7 @@ def test_parameters_are_those_that_nidaqmx_declares(name):
         assert found == [expected(parameter) for parameter in entry.parameters]
 
 
-@pytest.mark.parametrize("name", sorted(set(ENTRY_POINTS) - PAIRS))
+@pytest.mark.parametrize("name", sorted(set(OF_DAQMX) - PAIRS))
 def test_every_size_is_a_parameter(name):
     entry = ENTRY_POINTS[name]
     names = {parameter.name for parameter in entry.parameters}
@@ -139,10 +129,11 @@ def attributes_of_nidaqmx():
 
 USED = attributes_of_nidaqmx()
 VALUE_TYPES = {
-    ("i", False): {"int32"},
-    ("I", False): {"uint32", "bool"},
-    ("d", False): {"double"},
-    ("d", True): {"double_array"},
+    ("int32_t", False): {"int32"},
+    ("uint32_t", False): {"uint32", "bool"},
+    ("double", False): {"double"},
+    ("double", True): {"double_array"},
+    ("char", False): {"string"},
 }
 
 
@@ -153,21 +144,17 @@ def test_attributes_are_those_that_nidaqmx_asks_for(attribute):
     if attribute.number in (0x1272, 0x1923, 0x2F22):
         # Asked for inside the package's own machinery, in the same way.
         used |= {"uint32"}
-    wanted = {"string"}
-    if attribute.scalar is not None:
-        wanted = VALUE_TYPES[attribute.scalar.packed, attribute.is_array]
     assert used, "nidaqmx never asks for it"
-    assert used <= wanted
+    assert used <= VALUE_TYPES[attribute.c_type, attribute.is_array]
 
 
 def test_every_entry_is_answered_and_nothing_else():
-    remote = {name for name, entry in ENTRY_POINTS.items() if not entry.local}
-    assert sorted([*HANDLERS, *TASK_HANDLERS]) == sorted(remote)
+    assert sorted([*HANDLERS, *TASK_HANDLERS]) == sorted(OF_DAQMX)
 
 
 def test_the_c_source_holds_every_entry_once():
     source = library_source("nidaqmx")
-    for name, entry in TABLE.items():
+    for name, entry in ENTRY_POINTS.items():
         assert source.count(f"int32_t {name}(") == (entry.library == "nidaqmx")
 
 
@@ -178,9 +165,26 @@ def test_a_variadic_entry_ends_with_the_attribute():
         assert not any("..." in inspect.cleandoc(parameter.name) for parameter in entry.parameters)
 
 
-@pytest.mark.parametrize("code", TEXTS)
-def test_statuses_are_ni_s_numbers_with_texts_for_any_locale(code):
+def test_every_entry_of_the_headers_is_read():
+    headers = "".join(path.read_text("utf-8") for path in Path(statuses.__file__).parent.glob("*.h"))
+    assert len(ENTRY_POINTS) == headers.count(");")
+    for entry in ENTRY_POINTS.values():
+        assert len(entry.parameters) == entry.declared.count(",") + (entry.tail is Tail.NONE), entry.name
+
+
+@pytest.mark.parametrize("name", statuses.CODES)
+def test_statuses_are_ni_s_numbers_with_texts_for_any_locale(name):
     from nidaqmx.error_codes import DAQmxErrors, DAQmxWarnings
 
-    assert code in {member.value for member in (DAQmxErrors if code < 0 else DAQmxWarnings)}
-    assert TEXTS[code].isascii()
+    code = statuses.CODES[name]
+    known = {member.value for member in (DAQmxErrors if code < 0 else DAQmxWarnings)}
+    assert name.startswith("SCOPE_") or code in known
+    assert statuses.TEXTS[code].isascii()
+
+
+def test_every_status_in_the_code_is_in_the_table():
+    source = "".join(path.read_text("utf-8") for path in Path(doubles.__file__).parent.rglob("*.py"))
+    used = set(re.findall(r"\bstatuses\.([A-Z_]{3,})", source)) - {"TEXTS", "CODES"}
+    assert used == set(statuses.CODES)
+    with pytest.raises(AttributeError, match="has no status 'UNKNOWN'"):
+        statuses.UNKNOWN  # noqa: B018
