@@ -91,8 +91,7 @@ def test_no_other_value_is_read_in_silence_and_rebuild_restores_the_rows(life, t
         assert is_reported or started == whole, count
         reported += is_reported
         if is_reported and count % REBUILT_EVERY == 0:
-            line = replace(life, folder=tmp_path / f"rebuilt-{count}")
-            shutil.copytree(life.folder, line.folder)
+            line = replace(life, folder=shutil.copytree(life.folder, tmp_path / f"rebuilt-{count}"))
             (line.folder / FILE_NAME).write_bytes(content)
             rebuild(line.folder, features_of=line.features_of)
             assert table_rows(line.folder) == rows, count

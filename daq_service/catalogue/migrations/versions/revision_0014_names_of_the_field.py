@@ -111,6 +111,8 @@ def _rename_assessments() -> None:
         sa.PrimaryKeyConstraint("id", name=op.f("pk_assessments")),
         sa.UniqueConstraint("position", "set_index", name="uq_assessments_position_set_index"),
     )
-    op.execute("INSERT INTO assessments SELECT * FROM verdicts")
+    # By name: a folder that 0013 created and one that it migrated differ in the order of their columns.
+    names = ", ".join(column["name"] for column in sa.inspect(op.get_bind()).get_columns("assessments"))
+    op.execute(f"INSERT INTO assessments ({names}) SELECT {names} FROM verdicts")
     op.drop_table("verdicts")
     op.create_index("ix_assessments_set_index", "assessments", ["set_index"])

@@ -321,10 +321,17 @@ def insert(database, table, **values):
     database.execute(f"INSERT INTO {table} ({', '.join(values)}) VALUES ({marks})", stored)
 
 
-def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_path):
+@pytest.mark.parametrize("created", [False, True], ids=["migrated to 0013", "created by 0013"])
+def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_path, created):
     path = tmp_path / "catalogue.sqlite"
     upgrade(path, "0013")
     with closing(sqlite3.connect(path)) as database, database:
+        if created:  # its columns stand in another order: the checksum is the last
+            names = [name for _, name, *_ in database.execute("PRAGMA table_info(verdicts)")]
+            names.append(names.pop(names.index("row_crc32")))
+            database.execute(f"CREATE TABLE copied AS SELECT {', '.join(names)} FROM verdicts")
+            database.execute("DROP TABLE verdicts")
+            database.execute("ALTER TABLE copied RENAME TO verdicts")
         insert(database, "experiment", id=1, name="t", configuration_hash="ab", configuration={},
                created_utc_ns=1, epoch_utc_ns=7, clock="wall", solimon_version="0")  # fmt: skip
         for table, row in (
