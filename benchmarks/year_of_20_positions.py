@@ -34,7 +34,7 @@ from analysis.diagnosis.slopes import COMPONENTS
 from analysis.statistics.named_limits import AVERAGE, LIMITS, MEWMA
 from analysis.ultrasound.thickness import EXTRACTOR_VERSION as ECHO_EXTRACTOR
 from analysis.waves.features import EXTRACTOR_VERSION
-from daq_service.acquisition.schedule import DueSet, plan
+from daq_service.acquisition.schedule import plan
 from daq_service.archive import FolderArchive, PositionRecord, SetRecord
 from daq_service.archive.finalize_set import finalize_set
 from daq_service.archive.records import set_reference
@@ -55,7 +55,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
 )
 from daq_service.cli.status.facts import describe_status
-from daq_service.clock import SimulatedClock, parse_utc
+from daq_service.clock import parse_utc
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.recording import session
@@ -67,7 +67,8 @@ from daq_service.web.context import context_of
 from daq_service.web.routes.stream import frames
 from daq_service.web.tables.choice import TABLES
 from hardware_drivers.instruments import Rig
-from hardware_drivers.measurement import Calibration, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
+from hardware_drivers.measurement import Calibration, DueSet, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
+from simulator.clock import SimulatedClock
 from simulator.echo.pulse import echo_calibration, echo_volts
 
 SETS = 17_500

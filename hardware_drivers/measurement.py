@@ -177,6 +177,28 @@ class SetKey(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class DueSet:
+    """One scheduled set of every position, or one unscheduled set.
+
+    Attributes
+    ----------
+    position
+        Position of an unscheduled set; None: a scheduled set.
+    """
+
+    set_index: int
+    due_h: float
+    due_utc_ns: int
+    position: str | None = None
+    unscheduled_index: int = 0
+
+    @property
+    def set_key(self) -> SetKey:
+        """Return the key of the set."""
+        return SetKey(self.set_index, self.unscheduled_index)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class ShotKey:
     """Key of a shot in a rig, and of the twin's random numbers."""
 
@@ -269,6 +291,24 @@ class PulseEchoRecord(_Record):
     gain_db: float
     offset_v: float
     averages: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MissedShot:
+    """A strike or echo without a record.
+
+    Attributes
+    ----------
+    reason
+        ``no_trigger``: nothing came in time; ``connection_lost``: the instrument did not answer.
+    """
+
+    key: ShotKey
+    cause: str
+    reason: str = "no_trigger"
+
+
+Measurement = Shot | PulseEchoRecord | MissedShot
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,7 @@ set is bounded: what stays poor after that is the transducer's state, not an acc
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass
 from typing import Final, Literal, get_args
 
@@ -99,9 +99,9 @@ class RestrikeRule:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Attempt:
-    """One record of a shot: index of the shot in the set, attempt, quality."""
+    """One record of a shot: which shot of the set, attempt, quality."""
 
-    shot_index: int
+    shot: Hashable
     attempt: int
     quality: str
 
@@ -111,13 +111,13 @@ def outcomes(attempts: Sequence[Attempt]) -> list[str]:
 
     Of equally good ones the last counts: it was struck because something was wrong with the first.
     """
-    best: dict[int, int] = {}
+    best: dict[Hashable, int] = {}
     for number, item in enumerate(attempts):
         if item.quality not in _RANK:
             raise InvalidInputError(f"quality is {item.quality!r}; it must be one of {', '.join(_RANK)}")
-        rival = best.get(item.shot_index)
+        rival = best.get(item.shot)
         if rival is None or _merit(item) >= _merit(attempts[rival]):
-            best[item.shot_index] = number
+            best[item.shot] = number
     chosen = set(best.values())
     return [ACCEPTED if number in chosen else SUPERSEDED for number in range(len(attempts))]
 

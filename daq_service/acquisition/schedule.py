@@ -8,17 +8,13 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Sequence
-from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 
-from hardware_drivers.measurement import SetKey
+from hardware_drivers.measurement import DueSet
 from hardware_drivers.nanoseconds import NS_PER_H
-
-if TYPE_CHECKING:
-    from daq_service.archive import SetRecord
 
 
 class PhaseLike(Protocol):
@@ -33,28 +29,6 @@ class PhaseLike(Protocol):
     def interval_h(self) -> float:
         """Return the hours between two sets."""
         ...
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DueSet:
-    """One scheduled set of every position, or one unscheduled set.
-
-    Attributes
-    ----------
-    position
-        Position of an unscheduled set; None: a scheduled set.
-    """
-
-    set_index: int
-    due_h: float
-    due_utc_ns: int
-    position: str | None = None
-    unscheduled_index: int = 0
-
-    @property
-    def set_key(self) -> SetKey:
-        """Return the key of the set."""
-        return SetKey(self.set_index, self.unscheduled_index)
 
 
 def unscheduled_set(number: int, after: DueSet, utc_ns: int, position: str) -> DueSet:
@@ -102,14 +76,3 @@ def plan(phases: Sequence[PhaseLike], epoch_utc_ns: int, *, end_h: float | None 
         DueSet(set_index=index, due_h=hour, due_utc_ns=epoch_utc_ns + round(hour * NS_PER_H))
         for index, hour in enumerate(due_hours(phases, end_h=end_h))
     ]
-
-
-def due_of(record: SetRecord) -> DueSet:
-    """Return the due time of a stored set, and the position of an unscheduled one."""
-    return DueSet(
-        set_index=record.set_index,
-        unscheduled_index=record.unscheduled_index,
-        due_h=record.due_h,
-        due_utc_ns=record.due_utc_ns,
-        position=record.positions[0].position if record.unscheduled_index else None,
-    )

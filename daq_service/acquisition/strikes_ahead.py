@@ -5,8 +5,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable, Iterator, Sequence
 
-from daq_service.acquisition.schedule import DueSet
-from hardware_drivers.measurement import ShotKey
+from hardware_drivers.measurement import DueSet, ShotKey
 from hardware_drivers.nanoseconds import NS_PER_S
 
 

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import MissedShot
 from daq_service.alarms.states import Condition
-from daq_service.archive import MissedRecord
 from hardware_drivers.errors import BusyError, ConnectionLostError, InstrumentError
+from hardware_drivers.measurement import DueSet, MissedShot
 
 RIG_UNAVAILABLE = "instruments_unavailable"
 PASSING = (BusyError.__name__, ConnectionLostError.__name__)
 """Errors that may be gone at the next set: a busy board may be free, a lost connection restored."""
 
 
-def lost_cause(missed: Sequence[MissedShot | MissedRecord]) -> str:
+def lost_cause(missed: Sequence[MissedShot]) -> str:
     """Return the last cause if all these attempts lost the connection; else an empty text.
 
     Parameters

@@ -17,7 +17,6 @@ from daq_service.archive.protocol import Archive, SetReader
 from daq_service.archive.reader import FolderSetReader
 from daq_service.archive.records import (
     Damage,
-    MissedRecord,
     OpenSet,
     Places,
     PositionRecord,
@@ -41,7 +40,6 @@ __all__ = [
     "Damage",
     "FolderArchive",
     "FolderSetReader",
-    "MissedRecord",
     "OpenSet",
     "Places",
     "PositionRecord",

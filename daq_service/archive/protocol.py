@@ -11,14 +11,13 @@ from typing import Protocol, runtime_checkable
 from daq_service.archive.records import (
     Damage,
     JournalDamage,
-    MissedRecord,
     OpenSet,
     Places,
     SetRecord,
     SetReference,
     StoredSet,
 )
-from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, Waveform
+from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot, Waveform
 
 
 @runtime_checkable
@@ -108,7 +107,7 @@ class Archive(SetReader, Protocol):
         """Record the start of a set; durable with the next `sync`."""
         ...
 
-    def append(self, item: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
+    def append(self, item: Shot | PulseEchoRecord | MissedShot, utc_ns: int) -> None:
         """Add a record or a missed record to a started set; acknowledged by `sync`."""
         ...
 

@@ -35,7 +35,6 @@ from daq_service.archive.plain import RefusedError
 from daq_service.archive.records import (
     SETS_FOLDER,
     Damage,
-    MissedRecord,
     PositionRecord,
     SetRecord,
     SetReference,
@@ -46,6 +45,7 @@ from daq_service.archive.records import (
 from daq_service.shared_file import read_shared
 from hardware_drivers.measurement import (
     Calibration,
+    MissedShot,
     PulseEchoRecord,
     SetKey,
     Shot,
@@ -494,14 +494,14 @@ def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
     return facts
 
 
-def _read_missed(entry: h5py.Group) -> list[MissedRecord]:
+def _read_missed(entry: h5py.Group) -> list[MissedShot]:
     """Read the strikes and echoes without a record."""
     if "missed" not in entry:
         return []
     columns = _read_columns(entry["missed"], "position", "shot_index", "attempt", "cause", "reason")
     set_key = set_key_of(entry)
     return [
-        MissedRecord(key=_key(columns, row, set_key), cause=cause, reason=columns["reason"][row])
+        MissedShot(key=_key(columns, row, set_key), cause=cause, reason=columns["reason"][row])
         for row, cause in enumerate(columns["cause"])
     ]
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Any, NewType
 
 from daq_service.clock import parse_utc
-from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, ShotKey, Waveform
+from hardware_drivers.measurement import DueSet, MissedShot, PulseEchoRecord, SetKey, Shot, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
 
 SETS_FOLDER = "sets"
@@ -51,15 +51,6 @@ class PositionRecord:
     cause: str = ""
     label: str = ""
     serial_number: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MissedRecord:
-    """A strike or echo without a record, and the reason."""
-
-    key: ShotKey
-    cause: str
-    reason: str
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -105,7 +96,7 @@ class SetRecord:
     positions: Sequence[PositionRecord]
     shots: Sequence[Shot] = ()
     echoes: Sequence[PulseEchoRecord] = ()
-    missed: Sequence[MissedRecord] = ()
+    missed: Sequence[MissedShot] = ()
     outcomes: Mapping[int, str] = field(default_factory=dict)
     trouble: str = ""
     environment: Mapping[str, float | str | None] = field(default_factory=dict)
@@ -137,9 +128,36 @@ class SetRecord:
         return SetKey(self.set_index, self.unscheduled_index)
 
     @property
+    def due(self) -> DueSet:
+        """Due time of the set, and the position of an unscheduled one."""
+        return DueSet(
+            set_index=self.set_index,
+            unscheduled_index=self.unscheduled_index,
+            due_h=self.due_h,
+            due_utc_ns=self.due_utc_ns,
+            position=self.positions[0].position if self.unscheduled_index else None,
+        )
+
+    @property
     def records(self) -> list[Shot | PulseEchoRecord]:
         """Return shots and pulse-echo records in the order of acquisition."""
         return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
+
+    def n_missed(self, position: str) -> int:
+        """Count the strikes or echoes of a position without a record."""
+        return sum(item.key.position == position for item in self.missed)
+
+    def n_tried(self, position: str) -> int:
+        """Count the shots of a position that were struck, with or without a record, without repetitions."""
+        return self._attempts_at(position).count(0)
+
+    def n_restrikes(self, position: str) -> int:
+        """Count the repetitions of a position's shots, with or without a record."""
+        return sum(attempt > 0 for attempt in self._attempts_at(position))
+
+    def _attempts_at(self, position: str) -> list[int]:
+        tried: list[Shot | MissedShot] = [*self.shots, *self.missed]
+        return [item.key.attempt for item in tried if item.key.position == position]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -171,7 +189,7 @@ class OpenSet:
     last_utc_ns: int
     disabled: Mapping[str, str] = field(default_factory=dict)
     records: Sequence[Shot | PulseEchoRecord] = ()
-    missed: Sequence[MissedRecord] = ()
+    missed: Sequence[MissedShot] = ()
     is_dated: bool = True
 
 

@@ -20,7 +20,6 @@ from daq_service.archive.records import (
     QUARANTINE_FOLDER,
     SETS_FOLDER,
     TEMPORARY_SUFFIX,
-    MissedRecord,
     OpenSet,
     Places,
     SetRecord,
@@ -31,7 +30,7 @@ from daq_service.archive.records import (
     waveform_crc32,
 )
 from daq_service.shared_file import patiently, remove_quietly, sync_folder
-from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot
+from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot
 
 _REMEDY = {
     errno.ENOSPC: "free some space",
@@ -94,12 +93,12 @@ class FolderArchive(FolderSetReader):
             set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled
         )
 
-    def append(self, item: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
+    def append(self, item: Shot | PulseEchoRecord | MissedShot, utc_ns: int) -> None:
         """Add a record or a missed record to a started set; acknowledged by `sync`."""
         sequences = self._sequences_of.get(item.key.set_key)
         if sequences is None:
             return
-        if isinstance(item, MissedRecord):
+        if isinstance(item, MissedShot):
             self._journal_writer.append_missed(item, utc_ns)
         else:
             self._journal_writer.append(item)

@@ -6,10 +6,10 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Protocol
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition
 from daq_service.archive import SetRecord
 from daq_service.catalogue.rows import AssessmentRow, BaselineRow, FeatureRow, SetRow, ThicknessRow
+from hardware_drivers.measurement import DueSet
 
 if TYPE_CHECKING:
     from analysis.waves.features import ShotFeatures

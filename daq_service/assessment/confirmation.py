@@ -11,12 +11,11 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.assessment.stored_limits import limits_by_name
 from daq_service.catalogue import Catalogue
 from daq_service.catalogue.rows import AssessmentRow, EventRow, SetRow
 from daq_service.settings.tree import ScheduleSettings
-from hardware_drivers.measurement import MOST_UNSCHEDULED
+from hardware_drivers.measurement import MOST_UNSCHEDULED, DueSet
 from hardware_drivers.nanoseconds import NS_PER_S
 
 BUDGET_H = 24.0

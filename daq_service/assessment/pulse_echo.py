@@ -11,13 +11,12 @@ from analysis.statistics.rules import AlarmRule, AlarmState, next_alarm_state
 from analysis.ultrasound.reading import EchoReading, read_echo
 from analysis.ultrasound.thickness import EXTRACTOR_VERSION, EchoReference, reference_echo
 from analysis.waves.features import ShotFeatures
-from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition
 from daq_service.archive import ArchiveError, SetRecord
 from daq_service.assessment.assessor import PositionResult
 from daq_service.catalogue.rows import MEASURED, ThicknessRow
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import PulseEchoRecord, Waveform
+from hardware_drivers.measurement import DueSet, PulseEchoRecord, Waveform
 
 FORMULA = "th = th0 - (UT0 - UT) / (UT0 - D) th0, equation 17"
 

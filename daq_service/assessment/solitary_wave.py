@@ -29,8 +29,6 @@ from analysis.waves.features import (
     SetFeatures,
     ShotFeatures,
 )
-from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import n_tried
 from daq_service.archive import SetRecord
 from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.baseline_lifecycle import AUTOMATIC, BaselineRange
@@ -45,7 +43,7 @@ from daq_service.assessment.transducer_conditions import (
 )
 from daq_service.catalogue.rows import AssessmentRow, BaselineRow, FeatureRow
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import Shot
+from hardware_drivers.measurement import DueSet, Shot
 
 
 class SolitaryWaveAssessor:
@@ -98,7 +96,7 @@ class SolitaryWaveAssessor:
             shots,
             [features[shot.sequence] for shot in shots],
             outcomes=record.outcomes,
-            n_tried=n_tried(record, self.position),
+            n_tried=record.n_tried(self.position),
         )
         return replace(position_result, conditions=(), suspicion="") if self._rehearsal else position_result
 
@@ -162,7 +160,7 @@ class SolitaryWaveAssessor:
         result = self._result_of_shots(due, combined)
         if self.state.baseline is None:
             return result
-        set_of_shots = combined.as_set(due.set_index, due.due_h, n_tried(record, self.position))
+        set_of_shots = combined.as_set(due.set_index, due.due_h, record.n_tried(self.position))
         assessment = assess_alone(set_of_shots, self.state.baseline, self.rules)
         vector, fitted = set_of_shots.vector(), self.state.baseline.fitted
         assessment = replace(assessment, cause=self.diagnose_unscheduled(set_of_shots))

@@ -18,11 +18,11 @@ from analysis.statistics.design import Design, contributions_of
 from analysis.statistics.named_limits import DISTANCE, LIMITS, MEWMA
 from analysis.statistics.rules import HoleRule
 from analysis.waves.features import EXTRACTOR_VERSION
-from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition
 from daq_service.assessment.diagnosis_texts import diagnosis_text
 from daq_service.catalogue.rows import AssessmentRow
 from daq_service.settings.tree import QualitySettings
+from hardware_drivers.measurement import DueSet
 
 FORMULA = "D = (x - mean)^T K^-1 (x - mean), equation 16"
 CHART_FORMULA = (

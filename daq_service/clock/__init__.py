@@ -1,12 +1,11 @@
-"""The experiment's two clocks behind one Protocol (`hardware_drivers.instruments.Clock`), and what they need.
+"""The wall clock of a test (`hardware_drivers.instruments.Clock`), and clocks of the computer.
 
-The wall clock runs a real test; the simulated clock jumps, or walks at a pace. Heartbeats and driver
+The clock of simulated time is `simulator.clock.SimulatedClock`. Heartbeats and driver
 deadlines never use these clocks but the machine's monotonic time.
 """
 
 from daq_service.clock.boot import WINDOWS_BOOT_COUNTER, boot_id, boot_name
 from daq_service.clock.machine import MACHINE, MachineClock, elapsed_ns
-from daq_service.clock.simulated import SimulatedClock
 from daq_service.clock.time_line import Before, Step, TimeLine
 from daq_service.clock.wall import WallClock
 from daq_service.clock.written import format_utc, parse_utc
@@ -16,7 +15,6 @@ __all__ = [
     "WINDOWS_BOOT_COUNTER",
     "Before",
     "MachineClock",
-    "SimulatedClock",
     "Step",
     "TimeLine",
     "WallClock",

@@ -17,12 +17,12 @@ from dataclasses import replace
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import CommandRow, CommandState
-from daq_service.clock import SimulatedClock
 from daq_service.commands.deadline import expired_reason, remaining_now_s, with_expiry
 from daq_service.commands.kinds import Command, Facts
 from daq_service.commands.registry import KINDS, parse_command
 from daq_service.commands.running_test import PendingAnswer, RunningTest
 from daq_service.errors import StorageError, UsageError
+from simulator.clock import SimulatedClock
 
 log = logging.getLogger(__name__)
 

@@ -18,8 +18,9 @@ from daq_service.alarms import states
 from daq_service.alarms.clock_trouble import CLOCK_UNVERIFIED
 from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge, reset
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
-from daq_service.clock import SimulatedClock, WallClock
+from daq_service.clock import WallClock
 from daq_service.settings.foreign_text import WRITTEN, require_written
+from simulator.clock import SimulatedClock
 
 if TYPE_CHECKING:
     from daq_service.commands.running_test import PendingAnswer, RunningTest, StoredTest

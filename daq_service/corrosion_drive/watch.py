@@ -11,7 +11,6 @@ import logging
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Condition, Moment
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import Catalogue
@@ -32,6 +31,7 @@ from daq_service.settings.rig import RigSettings
 from hardware_drivers.drive_parameters import DriveParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.instruments import Rig
+from hardware_drivers.measurement import DueSet
 
 log = logging.getLogger(__name__)
 

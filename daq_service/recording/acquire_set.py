@@ -1,16 +1,16 @@
-"""Begin or resume a set, strike and read, keep each measurement, and make the record of the set."""
+"""Begin a set, strike and read, keep each measurement, and make the record of the set."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections import Counter
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import dataclass, field
 
 from analysis.waves.features import ShotFeatures
-from analysis.waves.quality_gate import RestrikeRule
-from daq_service.acquisition.schedule import DueSet
+from analysis.waves.quality_gate import SUPERSEDED, Attempt, RestrikeRule, outcomes
 from daq_service.acquisition.shot_features import features_of_a_rehearsal
-from daq_service.acquisition.take_set import Measurement, MissedShot, SetPlan, TakenSet, take_set
-from daq_service.archive import OpenSet, PositionRecord, SetRecord
+from daq_service.archive import PositionRecord, SetRecord
 from daq_service.clock import boot_id
 from daq_service.commands.execution import CommandExecutor
 from daq_service.recording.persistence import Persistence
@@ -18,12 +18,128 @@ from daq_service.recording.provenance import provenance
 from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.measurement import Shot
+from hardware_drivers.measurement import DueSet, Measurement, MissedShot, PulseEchoRecord, Shot
 from hardware_drivers.methods import SOLITARY_WAVE
+from hardware_drivers.take_set import ProgressOfSet, SetPlan, take_set
 
 log = logging.getLogger(__name__)
 
 FeaturesOf = Callable[[Shot], ShotFeatures]
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
+class TakenSet:
+    """Records, misses and features of the current set, and the results of the quality check.
+
+    Attributes
+    ----------
+    disabled
+        Positions that were left out from the start, with the reason.
+    features
+        Features of each shot by its sequence.
+    trouble
+        Instrument error that ended the set; None: it was completed or stopped.
+    """
+
+    rule: RestrikeRule
+    disabled: Mapping[str, str] = field(default_factory=dict)
+    shots: list[Shot] = field(default_factory=list)
+    echoes: list[PulseEchoRecord] = field(default_factory=list)
+    missed: list[MissedShot] = field(default_factory=list)
+    features: dict[int, ShotFeatures] = field(default_factory=dict)
+    restrikes: Counter[str] = field(default_factory=Counter)
+    trouble: InstrumentError | None = None
+    started_ns: int = 0
+    ended_ns: int = 0
+
+    @property
+    def tried(self) -> list[Measurement]:
+        """Every attempt, with or without a record."""
+        return [*self.shots, *self.echoes, *self.missed]
+
+    def progress(self, struck: Collection[str]) -> ProgressOfSet:
+        """Return the progress of the set; ``struck`` are the positions that have strikers."""
+        keys = [item.key for item in self.tried]
+        return ProgressOfSet(
+            started_ns=self.started_ns,
+            tried=frozenset((key.position, key.shot_index) for key in keys),
+            n_strikes=sum(key.position in struck for key in keys),
+        )
+
+    def is_complete(self, planned: Mapping[str, int]) -> bool:
+        """Return whether every planned shot was tried; positions that were left out are ignored."""
+        n_tried = Counter(position for position, _ in self.progress(()).tried)
+        return all(n_tried[position] >= n for position, n in planned.items() if position not in self.disabled)
+
+    def keep(self, measurement: Measurement) -> None:
+        """Add a measurement; a shot's features are added separately (`features`)."""
+        if isinstance(measurement, MissedShot):
+            log.warning("%s: %s", measurement.key, measurement.cause)
+            self.missed.append(measurement)
+        elif isinstance(measurement, Shot):
+            self.shots.append(measurement)
+        else:
+            self.echoes.append(measurement)
+
+    def wants_restrike(self, taken: Shot | MissedShot) -> bool:
+        """Return whether the quality check repeats a strike, and count the repetition."""
+        position = taken.key.position
+        flags = ("missed",) if isinstance(taken, MissedShot) else self.features[taken.sequence].flags
+        granted = self.rule.wants(flags, attempt=taken.key.attempt, restrikes_so_far=self.restrikes[position])
+        if granted:
+            self.restrikes[position] += 1
+            log.info("%s is %s: struck once more", taken.key, ", ".join(flags))
+        return granted
+
+    @property
+    def is_empty(self) -> bool:
+        """Return whether the set has no record."""
+        return not self.shots and not self.echoes
+
+    def n_records(self, position: str) -> int:
+        """Count the shots of a position that have a record (each once), or its pulse-echo records."""
+        return len(
+            {item.key.shot_index for item in (*self.shots, *self.echoes) if item.key.position == position}
+        )
+
+    def shortfall(self, position: str, n_planned: int, stop_reason: str) -> str:
+        """Return why a position has fewer records than planned; empty if it has all.
+
+        Parameters
+        ----------
+        stop_reason
+            Why the set was ended without an instrument error.
+        """
+        if self.n_records(position) >= n_planned:
+            return ""
+        ended_by = stop_reason if self.trouble is None else str(self.trouble)
+        missed = [item for item in self.missed if item.key.position == position]
+        tried = {item.key.shot_index for item in self.tried if item.key.position == position}
+        causes = [ended_by] if len(tried) < n_planned else []
+        if missed and missed[0].cause not in causes:
+            causes.append(f"{len(missed)} missed: {missed[0].cause}")
+        return "; ".join(causes)
+
+    def instrument_error(self) -> str:
+        """Return the instrument error in the archive's form, ``class: message``; empty if there was none."""
+        if self.trouble is None:
+            return ""
+        # A driver may raise a subclass; the archive stores the class that all drivers share.
+        kinds = (kind for kind in type(self.trouble).__mro__ if kind.__module__ == InstrumentError.__module__)
+        return f"{next(kinds).__name__}: {self.trouble}"
+
+    def superseded(self) -> dict[int, str]:
+        """Return the outcome of the shots that are superseded by their repetition, by sequence."""
+        attempts = [
+            Attempt(
+                shot=(shot.key.position, shot.key.shot_index),
+                attempt=shot.key.attempt,
+                quality=self.features[shot.sequence].quality,
+            )
+            for shot in self.shots
+        ]
+        found = zip(self.shots, outcomes(attempts), strict=True)
+        return {shot.sequence: outcome for shot, outcome in found if outcome == SUPERSEDED}
 
 
 class SetAcquisition:
@@ -68,7 +184,7 @@ class SetAcquisition:
             if due.position not in (None, name)
         }
         taken = TakenSet(
-            rule=self._restrike_rule(),
+            rule=self.restrike_rule(),
             # As of now: a command during the set changes what is struck, not what was planned.
             disabled=self._set_assessor.disabled() | left_out,
             started_ns=self._rig.clock.utc_ns(),
@@ -81,24 +197,8 @@ class SetAcquisition:
         )
         return taken
 
-    def resume(self, opened: OpenSet) -> TakenSet:
-        """Continue a set that the last recorder left open in the journal."""
-        self._archive.resume_set(opened)
-        return self.restored(opened)
-
-    def restored(self, opened: OpenSet) -> TakenSet:
-        """Return what an earlier recorder took of a set."""
-        taken = TakenSet(
-            rule=self._restrike_rule(), disabled=dict(opened.disabled), started_ns=opened.started_utc_ns
-        )
-        taken.restore(opened)
-        taken.features.update({shot.sequence: self.features_of(shot) for shot in taken.shots})
-        taken.ended_ns = opened.last_utc_ns
-        self._persistence.were_acknowledged(item.sequence for item in opened.records)
-        log.warning("set %s goes on: %d records of it are there", opened.set_key, len(opened.records))
-        return taken
-
-    def _restrike_rule(self) -> RestrikeRule:
+    def restrike_rule(self) -> RestrikeRule:
+        """Return the rule by which shots of a set are repeated."""
         quality = self._settings.quality
         restrikes = 0 if self._rig.dry_run else quality.restrikes_per_set
         return RestrikeRule(flags=quality.restrike_flags, restrikes_per_set=restrikes)
@@ -122,7 +222,7 @@ class SetAcquisition:
         measurements = take_set(
             self._rig,
             set_plan,
-            progress=taken.progress(self._struck) if taken.progress(()).tried else None,
+            progress=taken.progress(self._struck) if taken.tried else None,
             first_sequence=self.next_sequence,
             boot_id=self._boot_id,
             idle=lambda: idle() and not self._commands.paused,
@@ -140,7 +240,7 @@ class SetAcquisition:
         """Append a measurement to the journal, and acknowledge it."""
         taken.keep(measurement)
         if isinstance(measurement, MissedShot):
-            self._archive.append(taken.missed_records()[-1], self._rig.clock.utc_ns())
+            self._archive.append(measurement, self._rig.clock.utc_ns())
             return
         self._archive.append(measurement, measurement.stamp.utc_ns)
         if self._in_real_time:  # simulated time has no crash between two shots
@@ -197,7 +297,7 @@ class SetAcquisition:
             positions=positions,
             shots=taken.shots,
             echoes=taken.echoes,
-            missed=taken.missed_records(),
+            missed=taken.missed,
             outcomes=taken.superseded(),
             trouble=taken.instrument_error(),
             environment={} if self._set_assessor.drive is None else self._set_assessor.drive.summary(),

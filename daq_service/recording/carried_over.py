@@ -6,15 +6,15 @@ import logging
 from dataclasses import replace
 from functools import partial
 
-from daq_service.acquisition.schedule import DueSet
+from analysis.waves.quality_gate import RestrikeRule
 from daq_service.archive import CorruptArchiveError, OpenSet
 from daq_service.catalogue.rows import SetRow
-from daq_service.recording.acquire_set import SetAcquisition
+from daq_service.recording.acquire_set import SetAcquisition, TakenSet
 from daq_service.recording.experiment import foreign_reason, refuse_foreign, refuse_foreign_open_set
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
-from hardware_drivers.measurement import SetKey
+from hardware_drivers.measurement import DueSet, SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)
@@ -85,6 +85,18 @@ class CarriedOver:
                 found.append(replace(self._due_of(opened), position=position))
         return found
 
+    def resume(self, opened: OpenSet) -> TakenSet:
+        """Continue a set that the last recorder left open in the journal."""
+        self._archive.resume_set(opened)
+        return self._restored(opened)
+
+    def _restored(self, opened: OpenSet) -> TakenSet:
+        taken = taken_before(opened, self._acquisition.restrike_rule())
+        taken.features.update({shot.sequence: self._acquisition.features_of(shot) for shot in taken.shots})
+        self._persistence.were_acknowledged(item.sequence for item in opened.records)
+        log.warning("set %s goes on: %d records of it are there", opened.set_key, len(opened.records))
+        return taken
+
     def _due_of(self, opened: OpenSet) -> DueSet:
         due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
         return DueSet(**opened.set_key._asdict(), due_h=due_h, due_utc_ns=opened.due_utc_ns)
@@ -113,7 +125,7 @@ class CarriedOver:
         if file is not None:
             record = self._archive.read_set(file, skip_damaged=True)
         else:
-            taken, reason = self._acquisition.restored(opened), self.corruption_of[opened.set_key]
+            taken, reason = self._restored(opened), self.corruption_of[opened.set_key]
             record = self._acquisition.record_of(self._due_of(opened), taken, reason)
         self._archive.resume_set(opened)
         self._archive.store_set(record)
@@ -152,3 +164,18 @@ class CarriedOver:
         self._acquisition.number_after(record)
         log.warning("set %s: rows made again from %s/%s", due.set_key, self._archive.name, file)
         return record.ended_utc_ns
+
+
+def taken_before(opened: OpenSet, rule: RestrikeRule) -> TakenSet:
+    """Return what an earlier recorder took of a set; features are added separately."""
+    taken = TakenSet(
+        rule=rule,
+        retired=dict(opened.disabled),
+        missed=list(opened.missed),
+        started_ns=opened.started_utc_ns,
+        ended_ns=opened.last_utc_ns,
+    )
+    for record in opened.records:
+        taken.keep(record)
+    taken.restrikes.update(item.key.position for item in taken.tried if item.key.attempt > 0)
+    return taken

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
-from daq_service.acquisition.schedule import DueSet, due_hours, unscheduled_set
+from daq_service.acquisition.schedule import due_hours, unscheduled_set
 from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, disabled_positions
 from daq_service.assessment.confirmation import (
     CONFIRMATION_ASKED,
@@ -28,7 +28,7 @@ from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import SetKey
+from hardware_drivers.measurement import DueSet, SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
 
 Alarms = Mapping[tuple[str | None, str], AlarmRow]

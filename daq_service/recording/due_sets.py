@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.assessment.confirmation import overlap_reason
 from daq_service.errors import RigError
 from daq_service.recording.carried_over import CarriedOver
@@ -16,7 +15,7 @@ from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.recording.waiting import Waiting
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.measurement import SetKey
+from hardware_drivers.measurement import DueSet, SetKey
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 
 log = logging.getLogger(__name__)

@@ -6,13 +6,13 @@ import logging
 from collections.abc import Mapping
 from dataclasses import replace
 
-from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import TakenSet
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
 from daq_service.alarms.states import Moment
 from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.transaction import Transaction
+from daq_service.recording.acquire_set import TakenSet
 from daq_service.recording.set_assessor import SetAssessor, add_confirmation
+from hardware_drivers.measurement import DueSet
 
 log = logging.getLogger(__name__)
 

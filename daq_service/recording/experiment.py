@@ -6,7 +6,6 @@ import logging
 from collections.abc import Sequence
 from pathlib import Path
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.archive import ArchiveError, OpenSet, SetReader, SetRecord
 from daq_service.catalogue.earlier_names import current_row
 from daq_service.catalogue.errors import CatalogueDamagedError, OtherExperimentError
@@ -19,6 +18,7 @@ from daq_service.catalogue.experiment_file import (
 from daq_service.catalogue.history import History
 from daq_service.catalogue.rows import ExperimentRow
 from daq_service.clock import format_utc
+from hardware_drivers.measurement import DueSet
 from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)

@@ -14,14 +14,12 @@ from functools import partial
 from typing import Any
 
 from analysis.waves.features import ShotFeatures
-from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.shot_features import features_of
-from daq_service.acquisition.take_set import Measurement, TakenSet
 from daq_service.alarms.states import Moment
 from daq_service.archive import SetRecord
 from daq_service.assessment.transaction import Transaction
 from daq_service.errors import RigError, StorageError
-from daq_service.recording.acquire_set import FeaturesOf, SetAcquisition
+from daq_service.recording.acquire_set import FeaturesOf, SetAcquisition, TakenSet
 from daq_service.recording.carried_over import CarriedOver
 from daq_service.recording.clock_doubt import until_clock_is_believed
 from daq_service.recording.computer_load import MACHINE_READ
@@ -35,7 +33,7 @@ from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.recording.storage_alarms import StorageAlarms
 from daq_service.recording.waiting import Waiting
-from hardware_drivers.measurement import SetKey
+from hardware_drivers.measurement import DueSet, Measurement, SetKey
 
 log = logging.getLogger(__name__)
 
@@ -106,7 +104,7 @@ class Recorder:
         if due.position is None:
             self.waiting.next_set = due.set_index + 1
         opened = self._carried_over.open_sets.pop(due.set_key, None)
-        taken = self._acquisition.begin(due) if opened is None else self._acquisition.resume(opened)
+        taken = self._acquisition.begin(due) if opened is None else self._carried_over.resume(opened)
         for measurement in self.acquire(due, taken):
             self.persist(measurement, taken)
             self.extract(measurement, due, taken)
@@ -207,7 +205,7 @@ class Recorder:
         """Record a set without a strike: store the records of an open set, or else rows of a gap."""
         opened = self._carried_over.open_sets.pop(due.set_key, None)
         if opened is not None and opened.records:
-            self._finish(due, self._acquisition.resume(opened), cut_short_reason=reason)
+            self._finish(due, self._carried_over.resume(opened), cut_short_reason=reason)
             return
         reason = self._carried_over.corruption_of.get(due.set_key, reason)
         reasons = dict.fromkeys(self._set_assessor.positions_of(due), reason)

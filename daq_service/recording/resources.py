@@ -8,7 +8,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from daq_service.acquisition.schedule import DueSet, plan
+from daq_service.acquisition.schedule import plan
 from daq_service.alarms.states import Moment
 from daq_service.archive import Archive
 from daq_service.background.disk_watch import DiskWatch
@@ -26,6 +26,7 @@ from daq_service.recording.computer_load import ComputerLoadWatch
 from daq_service.recording.opening import WAITS_FOR_RIG_S
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
+from hardware_drivers.measurement import DueSet
 from hardware_drivers.nanoseconds import NS_PER_H
 
 LISTEN_EVERY_S = 0.2

@@ -29,7 +29,7 @@ from daq_service.catalogue.experiment_file import keep_experiment, write_experim
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.owner import experiment_identity
 from daq_service.catalogue.rows import SetRow
-from daq_service.clock import SimulatedClock, WallClock, boot_name, elapsed_ns, parse_utc
+from daq_service.clock import WallClock, boot_name, elapsed_ns, parse_utc
 from daq_service.errors import PASSING
 from daq_service.processes.data_folder import backup_identity
 from daq_service.processes.heartbeat import Beat, Heartbeat, WebWatch, read_heartbeat
@@ -55,6 +55,7 @@ from daq_service.settings.tree import ClockSettings, Settings
 from hardware_drivers.instruments import Clock, Rig
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.nanoseconds import NS_PER_H
+from simulator.clock import SimulatedClock
 
 log = logging.getLogger(__name__)
 

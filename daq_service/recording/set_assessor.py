@@ -10,8 +10,6 @@ from typing import Any
 
 from analysis.assessment.exact_json import to_json
 from analysis.waves.features import ShotFeatures
-from daq_service.acquisition.schedule import DueSet
-from daq_service.acquisition.take_set import n_missed, n_restrikes
 from daq_service.alarms.delays import DELAY_EVENT, apply_delays
 from daq_service.alarms.operator_actions import end_expired_shelf
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
@@ -37,6 +35,7 @@ from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.recording.confirmations import Alarms, Confirmations
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
+from hardware_drivers.measurement import DueSet
 from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)
@@ -160,8 +159,8 @@ class SetAssessor:
                 state="done" if not reasons[position] else "partial" if measurements else "missed",
                 n_taken=len(measurements),
                 n_valid=position_result.n_valid,
-                n_missed=n_missed(record, position),
-                n_restrikes=n_restrikes(record, position),
+                n_missed=record.n_missed(position),
+                n_restrikes=record.n_restrikes(position),
                 started_utc_ns=record.started_utc_ns,
                 ended_utc_ns=record.ended_utc_ns,
                 file=file if measurements else None,

@@ -10,7 +10,6 @@ from contextlib import suppress
 from dataclasses import asdict
 from functools import partial
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.clock import WallClock
 from daq_service.commands.execution import CommandExecutor
 from daq_service.errors import PASSING
@@ -19,6 +18,7 @@ from daq_service.recording.resources import Resources
 from daq_service.recording.resumed_time import CLOCK_STEP
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.recording.storage_alarms import StorageAlarms
+from hardware_drivers.measurement import DueSet
 from hardware_drivers.nanoseconds import NS_PER_S
 
 log = logging.getLogger(__name__)

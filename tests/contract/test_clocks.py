@@ -2,8 +2,9 @@
 
 import pytest
 
-from daq_service.clock import MachineClock, SimulatedClock, WallClock
+from daq_service.clock import WallClock
 from hardware_drivers.conformance.clock_contract import ClockContract
+from simulator.clock import SimulatedClock
 
 EPOCH_NS = 1_704_067_200_000_000_000
 
@@ -38,8 +39,7 @@ class TestWalkingClock(ClockContract):
         def sleep(seconds):
             wall_ns[0] += round(seconds * 1e9)
 
-        machine = MachineClock(mono_ns=lambda: wall_ns[0], sleep=sleep)
-        return SimulatedClock(EPOCH_NS, pace_h_per_s=5.0, machine=machine)
+        return SimulatedClock(EPOCH_NS, pace_h_per_s=5.0, mono_ns=lambda: wall_ns[0], sleep=sleep)
 
     # An hour and a half of experiment in 0.3 s of wall time: at least one look around on the way.
     AHEAD_S = 0.3 * 5.0 * 3600.0

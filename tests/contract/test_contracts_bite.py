@@ -34,7 +34,6 @@ from support.broken_instruments import (
     waveform,
 )
 
-from daq_service.clock import SimulatedClock
 from hardware_drivers.conformance.climate_probe_contract import ClimateProbeContract
 from hardware_drivers.conformance.clock_contract import ClockContract
 from hardware_drivers.conformance.digitizer_contract import DigitizerContract
@@ -49,6 +48,7 @@ from hardware_drivers.measurement import (
     Stamp,
     SupplyReading,
 )
+from simulator.clock import SimulatedClock
 
 EPOCH_NS = 10**18
 

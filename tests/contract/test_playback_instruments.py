@@ -7,7 +7,6 @@ from support.filed_archive import FiledArchive
 from support.labview_files import write_set
 from support.shots_in_memory import shots_in_memory
 
-from daq_service.clock import SimulatedClock
 from daq_service.rig.playback import open_recording
 from hardware_drivers.conformance.clock_contract import ClockContract
 from hardware_drivers.conformance.digitizer_contract import DigitizerContract
@@ -17,6 +16,7 @@ from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.clock import RecordedClock
 from hardware_drivers.playback.instruments import build_instruments
 from hardware_drivers.playback.parameters import PlaybackParameters, TdmsMapping
+from simulator.clock import SimulatedClock
 
 
 def recorded():

@@ -5,11 +5,11 @@ from dataclasses import replace
 
 import pytest
 
-from daq_service.clock import SimulatedClock
 from hardware_drivers.conformance.digitizer_contract import DigitizerContract
 from hardware_drivers.conformance.pulse_echo_unit_contract import PulseEchoUnitContract
 from hardware_drivers.conformance.striker_contract import StrikerContract
 from hardware_drivers.measurement import ShotKey
+from simulator.clock import SimulatedClock
 from simulator.instruments import build_bench
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.experiment import TwinParameters

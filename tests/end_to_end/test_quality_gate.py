@@ -116,9 +116,6 @@ def two_hours(**tables):
     return small_settings(schedule={"end_h": 2.0}, **tables)
 
 
-# Repeated strikes ------------------------------------------------------------------------------
-
-
 class _KilledError(BaseException):
     """Substitute for SIGKILL, which no code may catch to clean up."""
 
@@ -152,12 +149,7 @@ def test_rows_made_from_an_orphaned_file_are_those_of_the_recorder(tmp_path, mon
     assert rows_of(tmp_path / "killed") == whole
 
 
-# Transducers that give nothing ---------------------------------------------------------------------
-
 SILENT = {"no_data_sets": 2, "retire_after_sets": 4}
-
-
-# Hold ------------------------------------------------------------------------------------------
 
 
 # A rig that is gone or busy --------------------------------------------------------------------

@@ -43,6 +43,7 @@ class Disk:
         self.killed = False
         self.refused: set[str] = set()
         self.held: set[int] = set()
+        self.opened: list[Path] = []
 
     def __getattr__(self, name):
         real = getattr(os, name)
@@ -78,6 +79,7 @@ class Disk:
         result = real(*arguments)
         if name == "open":
             self.held.add(result)
+            self.opened.append(Path(arguments[0]))
         if name == "close":
             self.held.discard(arguments[0])
         return result
@@ -104,10 +106,14 @@ def names(folder):
     return sorted(path.name for path in (folder / "sets").iterdir())
 
 
-def test_the_calls_are_those_the_tests_interpose(monkeypatch, make_file):
+def test_file_and_folder_are_synced_in_this_order_so_that_a_power_cut_leaves_the_set_whole_or_absent(
+    monkeypatch, tmp_path, make_file
+):
     disk = put(monkeypatch, Disk())
     make_file()
     assert disk.calls == CALLS_OF_A_SET
+    file, folder = disk.opened
+    assert (file.parent, file.suffix, folder) == (tmp_path / "sets", ".tmp", tmp_path / "sets")
 
 
 @pytest.mark.parametrize("code", [errno.ENOSPC, errno.EIO, errno.EROFS], ids=errno.errorcode.get)
@@ -165,83 +171,6 @@ def test_a_process_that_ends_between_two_calls_leaves_the_set_whole_or_absent(
         assert_same_set(read_set(path), make_set())
     assert acknowledged == (call == len(CALLS_OF_A_SET))
     assert bool(found) == (call > CALLS_OF_A_SET.index("replace"))
-
-
-class RecordingDisk(Disk):
-    """Log of the disk calls, to replay a power cut after each of them."""
-
-    def __init__(self):
-        super().__init__()
-        self.log: list[tuple] = []
-        self._path_of: dict[int, str] = {}
-
-    def _call(self, name, real, *arguments):
-        result = super()._call(name, real, *arguments)
-        if name == "open":
-            self._path_of[result] = os.fspath(arguments[0])
-            if arguments[1] & os.O_CREAT:
-                self.log.append(("create", os.fspath(arguments[0])))
-        elif name == "write":
-            self.log.append(("write", self._path_of[arguments[0]], bytes(arguments[1])))
-        elif name == "fsync":
-            self.log.append(("fsync", self._path_of[arguments[0]]))
-        elif name == "replace":
-            self.log.append(("replace", *map(os.fspath, arguments)))
-        return result
-
-
-def states_after_power_loss(log, folder):
-    """Return every content of the folder that a power cut at the end of ``log`` may leave.
-
-    What was not synced survives not at all, as a torn prefix, or whole; a name that was not synced
-    is there or not.
-    """
-    content = {}
-    synced = {}
-    moved = None
-    names_synced = False
-    for entry in log:
-        if entry[0] == "create":
-            content[entry[1]], synced[entry[1]] = b"", b""
-        elif entry[0] == "write":
-            content[entry[1]] += entry[2]
-        elif entry[0] == "fsync" and entry[1] == folder:
-            names_synced = True
-        elif entry[0] == "fsync":
-            synced[entry[1]] = content[entry[1]]
-        elif entry[0] == "replace":
-            moved = entry[1:]
-    for name, whole in content.items():
-        unsynced = [whole[:length] for length in (0, len(whole) // 3, len(whole))]
-        for survives in {synced[name]} if synced[name] == whole else {synced[name], *unsynced}:
-            yield {} if moved is None or not names_synced else {moved[1]: survives}
-            if not names_synced:
-                yield {name: survives}
-                if moved is not None:
-                    yield {moved[1]: survives}
-
-
-def test_a_power_cut_after_any_call_leaves_the_set_whole_or_absent(monkeypatch, tmp_path):
-    make_file = journaled(tmp_path / "lived")
-    disk = put(monkeypatch, RecordingDisk())
-    make_file()
-    folder = os.fspath(tmp_path / "lived" / "sets")
-    log = disk.log
-    put(monkeypatch, Disk())
-    seen = set()
-    for length in range(len(log) + 1):
-        for number, state in enumerate(states_after_power_loss(log[:length], folder)):
-            after = tmp_path / f"after_{length}_{number}"
-            (after / "sets").mkdir(parents=True)
-            for name, content in state.items():
-                (after / "sets" / Path(name).name).write_bytes(content)
-            FolderArchive(after)
-            found = set_files(after)
-            if found:
-                assert_same_set(read_set(found[SET_INDEX]), make_set())
-            seen.add((length == len(log), bool(found)))
-    # Before the acknowledgement either is right; after it the set is there in every state.
-    assert seen == {(False, False), (False, True), (True, True)}
 
 
 def test_opening_a_folder_that_cannot_be_synced_is_a_storage_error(monkeypatch, tmp_path):

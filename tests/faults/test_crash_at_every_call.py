@@ -5,9 +5,7 @@ import os
 import shutil
 import subprocess
 import sys
-import tempfile
 from collections import Counter
-from pathlib import Path
 from random import Random
 
 import pytest
@@ -20,7 +18,7 @@ from support.crashed_recorders import (
     lost_of_replaced,
     outcome,
 )
-from support.refusing_files import needs_a_preload
+from support.refusing_files import needs_a_preload, with_support
 from support.small_experiment import SMALL, rows_of
 from support.traced_files import (
     MARK,
@@ -28,6 +26,7 @@ from support.traced_files import (
     Call,
     Disk,
     build,
+    fast_folder,
     read_trace,
     state_of,
     states,
@@ -53,9 +52,8 @@ QUICK = ("wall", "kept open", "replaced", "replaced and synced")
 @pytest.fixture(scope="module")
 def fast():
     """Return a folder in memory if there is one: thousands of states are written and synced."""
-    memory = Path("/dev/shm")
-    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
-        yield Path(folder)
+    with fast_folder() as folder:
+        yield folder
 
 
 @pytest.fixture(scope="module")
@@ -70,13 +68,7 @@ def trace_of(fast, library):
     def get(design):
         if not (fast / design).exists():
             designs = QUICK if design in QUICK else [design]
-            here = Path(__file__).parents[1]
-            paths = [str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]
-            environment = {
-                **os.environ,
-                **tracing(library, fast / "none", fast / "none"),
-                "PYTHONPATH": os.pathsep.join(path for path in paths if path),
-            }
+            environment = with_support(tracing(library, fast / "none", fast / "none"))
             command = [sys.executable, "-m", "support.crashed_recorders", fast, *designs]
             subprocess.run(command, env=environment, check=True)
         return fast / design, read_trace(fast / f"{design}.trace", fast / design)

@@ -6,18 +6,16 @@ import os
 import random
 import subprocess
 import sys
-import tempfile
 import threading
 from collections import Counter
 from contextlib import ExitStack
-from pathlib import Path
 
 import httpx
 import pytest
 from support.killed_commands import EVENT_OF, alarm_orders, command, note, person, restart, wrong_with
-from support.refusing_files import needs_a_preload
+from support.refusing_files import needs_a_preload, with_support
 from support.small_experiment import SMALL
-from support.traced_files import build, read_trace, states, tracing, write_state
+from support.traced_files import build, fast_folder, read_trace, states, tracing, write_state
 from support.waiting import WAIT_S, ended, until
 
 from daq_service.catalogue import open_catalogue
@@ -32,9 +30,8 @@ def test_each_kind_that_only_stores_is_checked():
 @pytest.fixture(scope="module")
 def fast():
     """Return a folder in memory if there is one: hundreds of states are written and synced."""
-    memory = Path("/dev/shm")
-    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
-        yield Path(folder)
+    with fast_folder() as folder:
+        yield folder
 
 
 @pytest.fixture(scope="module")
@@ -42,13 +39,7 @@ def calls(fast):
     """Return every disk call while each kind of command is given and executed, with marks of the answers."""
     folder, trace = fast / "data", fast / "trace"
     folder.mkdir()
-    here = Path(__file__).parents[1]
-    paths = [str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]
-    environment = {
-        **os.environ,
-        **tracing(build(fast), fast / "none", fast / "none"),
-        "PYTHONPATH": os.pathsep.join(path for path in paths if path),
-    }
+    environment = with_support(tracing(build(fast), fast / "none", fast / "none"))
     command = [sys.executable, "-m", "support.killed_commands", folder, trace]
     subprocess.run(command, env=environment, check=True)
     assert wrong_with(folder, range(1, len(EVENT_OF) + 1)) == []

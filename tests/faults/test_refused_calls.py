@@ -3,7 +3,6 @@
 import errno
 import itertools
 import json
-import os
 import re
 import subprocess
 import sys
@@ -13,7 +12,7 @@ from pathlib import Path
 
 import pytest
 from support.refused_recorders import CALLS, DAMAGED, SETS
-from support.refusing_files import build, needs_a_preload
+from support.refusing_files import build, needs_a_preload, with_support
 
 pytestmark = needs_a_preload
 
@@ -53,13 +52,7 @@ def followed(tmp_path_factory):
     library = build(tmp_path_factory.mktemp("library"))
 
     def follow(cases, folder):
-        here = Path(__file__).parents[1]
-        paths = [str(here), str(here.parent), os.environ.get("PYTHONPATH", "")]
-        environment = {
-            **os.environ,
-            "LD_PRELOAD": str(library),
-            "PYTHONPATH": os.pathsep.join(path for path in paths if path),
-        }
+        environment = with_support({"LD_PRELOAD": str(library)})
         command = [sys.executable, "-m", "support.refused_recorders", folder]
         lines = "".join(f"{json.dumps(case)}\n" for case in cases)
         answer = subprocess.run(

@@ -11,11 +11,12 @@ from functools import partial
 import numpy as np
 import pytest
 
-from daq_service.clock import SimulatedClock, parse_utc
+from daq_service.clock import parse_utc
 from daq_service.rig.open_rig import open_rig
 from daq_service.rig.twin import _forward_messages, records, transducers_of, twin_executor
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import ShotKey
+from simulator.clock import SimulatedClock
 from simulator.instruments import RECORDS_AHEAD, build_bench
 
 TIMEOUT_S = 120.0

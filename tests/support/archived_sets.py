@@ -6,8 +6,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from daq_service.archive import MissedRecord, PositionRecord, SetRecord
-from hardware_drivers.measurement import Calibration, PulseEchoRecord, Shot, ShotKey, Stamp, Waveform
+from daq_service.archive import PositionRecord, SetRecord
+from hardware_drivers.measurement import (
+    Calibration,
+    MissedShot,
+    PulseEchoRecord,
+    Shot,
+    ShotKey,
+    Stamp,
+    Waveform,
+)
 
 SET_INDEX = 7
 DUE_UTC_NS = 1_704_081_600_000_000_123
@@ -69,9 +77,9 @@ def make_echo(sequence: int) -> PulseEchoRecord:
     )
 
 
-def make_missed(position: str, shot_index: int, *, attempt: int = 0) -> MissedRecord:
+def make_missed(position: str, shot_index: int, *, attempt: int = 0) -> MissedShot:
     key = ShotKey(position=position, set_index=SET_INDEX, shot_index=shot_index, attempt=attempt)
-    return MissedRecord(key=key, cause="no trigger within 5 s: größer", reason="no_trigger")
+    return MissedShot(key=key, cause="no trigger within 5 s: größer", reason="no_trigger")
 
 
 def make_set() -> SetRecord:

@@ -38,7 +38,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     values,
 )
-from daq_service.clock import Before, SimulatedClock, parse_utc
+from daq_service.clock import Before, parse_utc
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder, sweep
 from daq_service.processes.worker import one_worker
 from daq_service.recording import session
@@ -47,6 +47,7 @@ from daq_service.recording.resources import Host, SessionOptions
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock, Rig
 from hardware_drivers.measurement import SetKey, Shot, ShotKey, Waveform
+from simulator.clock import SimulatedClock
 from support.memory_line import TABLES, ScriptedInstruments, healthy, memory_settings
 from support.small_experiment import AtOnce
 from support.traced_files import State, mark, set_tracing, state_of, write_state

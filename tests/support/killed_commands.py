@@ -26,7 +26,6 @@ from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.history import HistoryFollower, read_history
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, CommandRow, EventRow
 from daq_service.cli.maintenance.verify import verify_folder
-from daq_service.clock import SimulatedClock
 from daq_service.commands.audit import read_audit
 from daq_service.commands.execution import CommandExecutor
 from daq_service.commands.running_test import RunningTest
@@ -36,6 +35,7 @@ from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import sync_folder
 from hardware_drivers.instruments import Rig
+from simulator.clock import SimulatedClock
 from support.filled_folder import FilledFolder, frozen_baseline
 from support.served_web import served
 from support.traced_files import mark, set_tracing

@@ -13,7 +13,6 @@ from daq_service.archive import (
     ConflictingSetError,
     CorruptArchiveError,
     Damage,
-    MissedRecord,
     OpenSet,
     Places,
     SetNotFoundError,
@@ -24,7 +23,7 @@ from daq_service.archive import (
     waveform_crc32,
 )
 from daq_service.archive.records import JournalDamage, set_reference
-from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, Waveform
+from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot, Waveform
 
 NO_TIME = StoreTimings(image_s=0.0, fsync_s=0.0)
 
@@ -59,11 +58,11 @@ class MemoryArchive:
         last_utc_ns = open_set["started_utc_ns"]
         self._open_sets[set_key] = OpenSet(set_key=set_key, last_utc_ns=last_utc_ns, **open_set)
 
-    def append(self, taken: Shot | PulseEchoRecord | MissedRecord, utc_ns: int) -> None:
+    def append(self, taken: Shot | PulseEchoRecord | MissedShot, utc_ns: int) -> None:
         open_set = self._open_sets.get(taken.key.set_key)
         if open_set is None:
             return
-        name = "missed" if isinstance(taken, MissedRecord) else "records"
+        name = "missed" if isinstance(taken, MissedShot) else "records"
         added: Any = {name: [*getattr(open_set, name), taken]}
         last_utc_ns = max(open_set.last_utc_ns, utc_ns)
         self._open_sets[taken.key.set_key] = replace(open_set, last_utc_ns=last_utc_ns, **added)

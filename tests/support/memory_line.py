@@ -35,7 +35,7 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
 )
-from daq_service.clock import SimulatedClock, parse_utc
+from daq_service.clock import parse_utc
 from daq_service.processes.heartbeat import Heartbeat, Stage, WebWatch
 from daq_service.recording.computer_load import ComputerLoadWatch
 from daq_service.recording.recorder import Recorder
@@ -45,6 +45,7 @@ from daq_service.settings.tree import Settings
 from hardware_drivers.errors import AcquisitionTimeoutError, InstrumentError
 from hardware_drivers.instruments import Acquired, Clock, Echo, Rig
 from hardware_drivers.measurement import Calibration, SetKey, Shot, ShotKey, Waveform
+from simulator.clock import SimulatedClock
 from support.empty_catalogue import empty_catalogue
 from support.machine import clock_in_seconds
 from support.memory_archive import MemoryArchive, Shelf

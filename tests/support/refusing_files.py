@@ -6,6 +6,7 @@ import os
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
@@ -17,16 +18,23 @@ needs_a_preload = pytest.mark.skipif(
 )
 
 
-def build(folder: Path) -> Path:
+def build(folder: Path, source: Path = SOURCE) -> Path:
     """Compile the library; return its path."""
-    library = folder / "refusing_files.so"
+    library = folder / f"{source.stem}.so"
     compiler = shutil.which("cc") or shutil.which("gcc")
     assert compiler is not None
     subprocess.run(
-        [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Werror", "-o", library, SOURCE, "-ldl"],
+        [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Werror", "-o", library, source, "-ldl"],
         check=True,
     )
     return library
+
+
+def with_support(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the environment of a program that imports `support` and the packages of this checkout."""
+    tests = Path(__file__).parents[1]
+    paths = [str(tests), str(tests.parent), os.environ.get("PYTHONPATH", "")]
+    return {**os.environ, **environment, "PYTHONPATH": os.pathsep.join(filter(None, paths))}
 
 
 def refusing(

@@ -17,12 +17,14 @@ from __future__ import annotations
 import hashlib
 import os
 import random
-import shutil
 import struct
-import subprocess
+import tempfile
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
+
+from support import refusing_files
 
 SOURCE = Path(__file__).with_suffix(".c")
 MODELS = ("kill", "nothing", "torn", "pages")
@@ -54,14 +56,15 @@ def tracing(library: Path, trace: Path, under: Path) -> dict[str, str]:
 
 def build(folder: Path) -> Path:
     """Compile the library; return its path."""
-    library = folder / "traced_files.so"
-    compiler = shutil.which("cc") or shutil.which("gcc")
-    assert compiler is not None
-    subprocess.run(
-        [compiler, "-shared", "-fPIC", "-O1", "-Wall", "-Wextra", "-Werror", "-o", library, SOURCE, "-ldl"],
-        check=True,
-    )
-    return library
+    return refusing_files.build(folder, SOURCE)
+
+
+@contextmanager
+def fast_folder() -> Iterator[Path]:
+    """Yield a folder in memory if there is one: hundreds of states are written and synced."""
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        yield Path(folder)
 
 
 def mark(trace: Path, number: int) -> None:

@@ -7,23 +7,17 @@ import json
 import math
 import subprocess
 import sys
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
+from support.benchmark_modules import benchmark_module
 
 SCRIPT = Path(__file__).parents[2] / "benchmarks" / "detection_over_seeds.py"
 
 
 @pytest.fixture(scope="module")
 def detection():
-    spec = spec_from_file_location("detection_over_seeds", SCRIPT)
-    assert spec is not None
-    assert spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return benchmark_module("detection_over_seeds")
 
 
 @pytest.mark.parametrize("position", ["B", pytest.param("C", marks=pytest.mark.slow)])

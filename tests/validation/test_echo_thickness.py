@@ -4,30 +4,23 @@ The rates are those that `benchmarks/echo_bias.py` prints with 200 walls a row; 
 """
 
 import math
-import sys
 from dataclasses import replace
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
+from support.benchmark_modules import benchmark_module
 
 from analysis.ultrasound.thickness import thickness, thickness_interval, travel_time
 from simulator.echo.far_wall import FarWall
 from simulator.echo.pulse import bubble_volts, echo_volts
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "echo_bias.py"
 N_WALLS = 60
 
 
 @pytest.fixture(scope="module")
 def bias():
-    spec = spec_from_file_location("echo_bias", SCRIPT)
-    benchmark = module_from_spec(spec)
-    sys.modules[spec.name] = benchmark
-    spec.loader.exec_module(benchmark)
-    return benchmark
+    return benchmark_module("echo_bias")
 
 
 @pytest.mark.parametrize(

@@ -5,25 +5,19 @@ seed 1 are drawn, and a count must lie in the interval that holds all but 1e-4 o
 rate; where all or none were found, all or none must be.
 """
 
-import sys
 from functools import cache
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
+from support.benchmark_modules import benchmark_module
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "flags_on_faults.py"
 N_SHOTS = 120
 
 
 @pytest.fixture(scope="module")
 def shoot():
-    spec = spec_from_file_location("flags_on_faults", SCRIPT)
-    benchmark = module_from_spec(spec)
-    sys.modules[spec.name] = benchmark
-    spec.loader.exec_module(benchmark)
+    benchmark = benchmark_module("flags_on_faults")
     model = benchmark.coarse_model()
     return cache(lambda name: list(benchmark.faulty_shots(model, name, shots=N_SHOTS, seed=1)))
 

@@ -3,16 +3,12 @@
 The benchmark prints at least 95 % of 300; of 30 seeded records three may pass.
 """
 
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
-
 import numpy as np
 import pytest
+from support.benchmark_modules import benchmark_module
 
 from analysis.waves.template import Template, compare_with_template
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "flags_on_waves.py"
 N_RECORDS, SEED = 30, 1
 FAULTS = [
     "hole",
@@ -34,11 +30,7 @@ FAULTS = [
 
 @pytest.fixture(scope="module")
 def benchmark():
-    spec = spec_from_file_location("flags_on_waves", SCRIPT)
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return benchmark_module("flags_on_waves")
 
 
 @pytest.mark.parametrize("snr_db", [20.0, 40.0])

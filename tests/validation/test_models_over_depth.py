@@ -5,11 +5,10 @@ change. A number may differ by one in its last printed digit: rounding of anothe
 """
 
 import csv
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
 
 import pytest
+from support.benchmark_modules import benchmark_module
 
 from simulator.parameters.chain import ChainParameters
 
@@ -20,11 +19,7 @@ LAST_DIGIT_US, LAST_DIGIT_RATIO = 1.5e-3, 1.5e-5
 
 @pytest.fixture(scope="module")
 def benchmark():
-    spec = spec_from_file_location("models_over_depth", ROOT / "benchmarks" / "models_over_depth.py")
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return benchmark_module("models_over_depth")
 
 
 def committed(model):

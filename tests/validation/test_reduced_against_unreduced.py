@@ -6,12 +6,10 @@ order observed from three. Whole plate and quarter, both sensors, square and rou
 """
 
 import itertools
-import sys
-from importlib.util import module_from_spec, spec_from_file_location
-from pathlib import Path
 
 import numpy as np
 import pytest
+from support.benchmark_modules import benchmark_module
 
 from simulator.chain.spheres import build_chain
 from simulator.parameters.chain import ChainParameters
@@ -19,7 +17,6 @@ from simulator.parameters.plate import CorrosionParameters, PlateParameters
 from simulator.plate.mindlin.plate import build_plate
 from simulator.shot.model import ShotModel
 
-SCRIPT = Path(__file__).parents[2] / "benchmarks" / "reduced_against_unreduced.py"
 COARSE = PlateParameters(elements_per_edge=16, contact_element_m=2e-3)
 ALLOWED = 1e-4
 STEPS_S = (5e-7, 2.5e-7, 1.25e-7)
@@ -27,11 +24,7 @@ STEPS_S = (5e-7, 2.5e-7, 1.25e-7)
 
 @pytest.fixture(scope="module")
 def benchmark():
-    spec = spec_from_file_location("reduced_against_unreduced", SCRIPT)
-    module = module_from_spec(spec)
-    sys.modules[spec.name] = module
-    spec.loader.exec_module(module)
-    return module
+    return benchmark_module("reduced_against_unreduced")
 
 
 def unreduced(benchmark, chain, plate, patch, depth, *, whole=False):

@@ -17,8 +17,17 @@ from typing import Any
 import numpy as np
 import orjson
 
-from daq_service.archive.records import MissedRecord, SetRecord, waveform_crc32
-from hardware_drivers.measurement import Calibration, PulseEchoRecord, SetKey, Shot, ShotKey, Stamp, Waveform
+from daq_service.archive.records import SetRecord, waveform_crc32
+from hardware_drivers.measurement import (
+    Calibration,
+    MissedShot,
+    PulseEchoRecord,
+    SetKey,
+    Shot,
+    ShotKey,
+    Stamp,
+    Waveform,
+)
 
 MAGIC = b"SOLJ"
 VERSION = 1
@@ -119,7 +128,7 @@ def record_frame(record: Shot | PulseEchoRecord) -> Buffers:
     )
 
 
-def missed_frame(missed: MissedRecord, utc_ns: int) -> Buffers:
+def missed_frame(missed: MissedShot, utc_ns: int) -> Buffers:
     """Return the frame of a strike or echo that left no record."""
     key = {"key": [missed.key.position, missed.key.shot_index, missed.key.attempt]}
     facts = {**key, "cause": missed.cause, "reason": missed.reason}
@@ -252,9 +261,9 @@ def record_of(frame: Frame) -> Shot | PulseEchoRecord:
     return PulseEchoRecord(**common, **facts["receiver"]) if frame.kind is Kind.ECHO else Shot(**common)
 
 
-def missed_of(frame: Frame) -> MissedRecord:
+def missed_of(frame: Frame) -> MissedShot:
     """Return the missed record of a sound frame."""
     facts = frame.read_facts()
     position, shot_index, attempt = facts["key"]
     key = ShotKey.in_set(frame.set_key, position, shot_index, attempt)
-    return MissedRecord(key=key, cause=facts["cause"], reason=facts["reason"])
+    return MissedShot(key=key, cause=facts["cause"], reason=facts["reason"])

@@ -12,7 +12,6 @@ from daq_service.archive.journal.frames import Frame, Kind, frames, missed_of, r
 from daq_service.archive.records import (
     JOURNAL_FOLDER,
     Damage,
-    MissedRecord,
     OpenSet,
     Places,
     PositionRecord,
@@ -21,7 +20,7 @@ from daq_service.archive.records import (
     set_reference,
 )
 from daq_service.shared_file import read_shared
-from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, ShotKey
+from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot, ShotKey
 
 _NAME = re.compile(r"(\d{6,})\.journal")
 
@@ -43,7 +42,7 @@ class JournaledSet:
     set_key: SetKey
     begin: Frame | None = None
     shots: dict[int, Frame] = field(default_factory=dict)
-    missed: dict[ShotKey, MissedRecord] = field(default_factory=dict)
+    missed: dict[ShotKey, MissedShot] = field(default_factory=dict)
     end: Mapping[str, Any] | None = None
     last_utc_ns: int = 0
     segments: set[int] = field(default_factory=set)
@@ -161,10 +160,10 @@ _PLAIN = (
 )
 
 
-def _missed_record(set_key: SetKey, facts: Mapping[str, Any]) -> MissedRecord:
+def _missed_record(set_key: SetKey, facts: Mapping[str, Any]) -> MissedShot:
     """Return the missed record of an end frame's entry."""
     key = ShotKey.in_set(set_key, facts["position"], facts["shot_index"], facts["attempt"])
-    return MissedRecord(key=key, cause=facts["cause"], reason=facts["reason"])
+    return MissedShot(key=key, cause=facts["cause"], reason=facts["reason"])
 
 
 def segments(folder: Path) -> dict[int, Path]:

@@ -20,7 +20,7 @@ from daq_service.archive.journal.reader import (
     segments,
     strays,
 )
-from daq_service.archive.records import JOURNAL_FOLDER, QUARANTINE_FOLDER, JournalDamage, MissedRecord, Places
+from daq_service.archive.records import JOURNAL_FOLDER, QUARANTINE_FOLDER, JournalDamage, Places
 from daq_service.shared_file import (
     O_BINARY,
     patiently,
@@ -30,7 +30,7 @@ from daq_service.shared_file import (
     write_all,
     write_durably,
 )
-from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot
+from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot
 
 log = logging.getLogger(__name__)
 
@@ -127,7 +127,7 @@ class Journal:
         self._add(record.key.set_key, record_frame(record))
         self._unacknowledged.append(record.sequence)
 
-    def append_missed(self, missed: MissedRecord, utc_ns: int) -> None:
+    def append_missed(self, missed: MissedShot, utc_ns: int) -> None:
         """Add a strike or echo that left no record."""
         self._add(missed.key.set_key, missed_frame(missed, utc_ns))
 

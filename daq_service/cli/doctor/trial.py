@@ -12,20 +12,20 @@ import click
 
 from analysis.waves.coil_spike import FITTING_LEVEL, SpikeSurvey
 from analysis.waves.features import ShotFeatures
-from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.shot_features import features_of
-from daq_service.acquisition.take_set import MissedShot, SetPlan, take_set
 from daq_service.cli.doctor.check import Check, failure
 from daq_service.cli.doctor.spike import spike_check
-from daq_service.clock import SimulatedClock, WallClock, boot_id, parse_utc
+from daq_service.clock import WallClock, boot_id, parse_utc
 from daq_service.errors import UsageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.tree import Settings
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import InstrumentError
-from hardware_drivers.measurement import Shot, Waveform
+from hardware_drivers.measurement import DueSet, MissedShot, Shot, Waveform
 from hardware_drivers.methods import SOLITARY_WAVE
+from hardware_drivers.take_set import SetPlan, take_set
+from simulator.clock import SimulatedClock
 
 REMEDIES: Mapping[str, str] = {
     "missed": "see whether the striker lifts and falls, then the sensor's cable and trigger_slope",

@@ -7,7 +7,6 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
-from daq_service.acquisition.take_set import n_missed, n_restrikes
 from daq_service.archive import SetRecord, SetReference
 from daq_service.assessment.results_in_file import find_differences as results_differ
 from daq_service.assessment.results_in_file import results_of
@@ -64,8 +63,8 @@ def differing(
                 "reason": position.cause or None,
                 "n_planned": position.n_planned,
                 "n_taken": len(taken),
-                "n_missed": n_missed(record, position.position),
-                "n_restrikes": n_restrikes(record, position.position),
+                "n_missed": record.n_missed(position.position),
+                "n_restrikes": record.n_restrikes(position.position),
                 "file": file if taken else None,
             }
             for difference in _differences(where, row, wanted):

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from daq_service.acquisition.schedule import DueSet, plan
+from daq_service.acquisition.schedule import plan
 from daq_service.acquisition.shot_features import features_of_all
 from daq_service.assessment.assessor import PositionResult
 from daq_service.assessment.baseline_lifecycle import baseline_range
@@ -18,7 +18,7 @@ from daq_service.assessment.solitary_wave import SolitaryWaveAssessor
 from daq_service.clock import parse_utc
 from daq_service.rig.twin import transducers_of
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import Shot, ShotKey, Stamp
+from hardware_drivers.measurement import DueSet, Shot, ShotKey, Stamp
 from simulator.specimen import Specimen, build_specimen
 
 

@@ -148,7 +148,7 @@ class Notifications:
         self.silent_reason, released = "" if self.queues else NO_RECEIVERS, threading.Event()
         self.queues = self._new_queues()  # another process may have sent since: the log holds the progress
         senders = [
-            self._start_thread(partial(self._run_queue, queue, lock, released), f"tell-{queue.name}")
+            self._start_thread(partial(self._run_queue, queue, lock, released), f"notify-{queue.name}")
             for queue in self.queues.values()
         ]
         while not self._stop.is_set() and self._still_owns(lock) and not self._web_responds():

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any
 
 from analysis.waves.features import ALL_FEATURE_NAMES, ShotFeatures
-from daq_service.acquisition.schedule import due_of
 from daq_service.acquisition.shot_features import features_of, features_of_a_rehearsal
 from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowledge, reset
 from daq_service.alarms.states import Change, Moment
@@ -172,7 +171,7 @@ class _Reassessment:
             self._take_set_without_records(rows)
             return
         record = self._read_set(SetReference(file))
-        due = due_of(record)
+        due = record.due
         if due.position in (None, *self._settings.positions):
             self._assessor.commit(self._assessor.assessed(due, record, file, self._features(record)))
 

@@ -17,7 +17,6 @@ import orjson
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
-from daq_service.acquisition.schedule import DueSet, due_of
 from daq_service.acquisition.shot_features import features_of, features_of_a_rehearsal
 from daq_service.alarms.delays import DELAY_EVENT
 from daq_service.archive import (
@@ -57,7 +56,7 @@ from daq_service.recording.reassessment.changes import comparable
 from daq_service.recording.reassessment.stored_runs import Progress, Run, repeat_action, row_of, runs_of
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
-from hardware_drivers.measurement import Shot
+from hardware_drivers.measurement import DueSet, Shot
 
 R = TypeVar("R", bound=Row)
 FeaturesOf = Callable[[Shot], ShotFeatures]
@@ -276,7 +275,7 @@ class _Restoration:
         if why := foreign_reason(record, self._experiment):
             self._result.foreign.append(f"{reference}: {why}")
             return
-        due = due_of(record)
+        due = record.due
         features = {shot.sequence: self._features_of(shot) for shot in record.shots}
         sha256 = self._digest(reference)
         states = self._set_assessor.assessors.states

@@ -2,14 +2,13 @@ import pytest
 
 from daq_service.clock import (
     WINDOWS_BOOT_COUNTER,
-    MachineClock,
-    SimulatedClock,
     boot_id,
     boot_name,
     format_utc,
     parse_utc,
 )
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
+from simulator.clock import SimulatedClock
 
 
 def always():
@@ -44,7 +43,7 @@ def test_a_time_without_an_offset_is_refused():
 
 def test_the_simulated_clock_jumps_without_sleeping():
     wall = FakeWall()
-    clock = SimulatedClock(0, machine=MachineClock(mono_ns=wall, sleep=wall.sleep))
+    clock = SimulatedClock(0, mono_ns=wall, sleep=wall.sleep)
     assert clock.wait_until(350 * NS_PER_H, always)
     assert clock.utc_ns() == 350 * NS_PER_H
     assert wall.now_ns == 5 * NS_PER_S
@@ -58,14 +57,14 @@ def test_a_time_in_the_past_does_not_set_the_clock_back():
 
 def test_a_paced_clock_takes_the_wall_time_of_its_pace():
     wall = FakeWall()
-    clock = SimulatedClock(0, pace_h_per_s=5.0, machine=MachineClock(mono_ns=wall, sleep=wall.sleep))
+    clock = SimulatedClock(0, pace_h_per_s=5.0, mono_ns=wall, sleep=wall.sleep)
     assert clock.wait_until(10 * NS_PER_H, always)
     assert wall.now_ns - 5 * NS_PER_S == 2 * NS_PER_S
 
 
 def test_work_between_two_waits_is_part_of_the_pace():
     wall = FakeWall()
-    clock = SimulatedClock(0, pace_h_per_s=5.0, machine=MachineClock(mono_ns=wall, sleep=wall.sleep))
+    clock = SimulatedClock(0, pace_h_per_s=5.0, mono_ns=wall, sleep=wall.sleep)
     clock.wait_until(5 * NS_PER_H, always)
     wall.sleep(0.7)
     clock.wait_until(10 * NS_PER_H, always)
@@ -74,7 +73,7 @@ def test_work_between_two_waits_is_part_of_the_pace():
 
 def test_finish_now_ends_the_pacing():
     wall = FakeWall()
-    clock = SimulatedClock(0, pace_h_per_s=1e-6, machine=MachineClock(mono_ns=wall, sleep=wall.sleep))
+    clock = SimulatedClock(0, pace_h_per_s=1e-6, mono_ns=wall, sleep=wall.sleep)
 
     def idle():
         clock.finish_now()
@@ -86,7 +85,7 @@ def test_finish_now_ends_the_pacing():
 
 def test_a_wait_ends_as_soon_as_idle_returns_false():
     wall = FakeWall()
-    clock = SimulatedClock(0, pace_h_per_s=1.0, machine=MachineClock(mono_ns=wall, sleep=wall.sleep))
+    clock = SimulatedClock(0, pace_h_per_s=1.0, mono_ns=wall, sleep=wall.sleep)
     assert not clock.wait_until(NS_PER_H, lambda: wall.now_ns < 5.5 * NS_PER_S)
     assert clock.utc_ns() == 0, "time that nobody waited for must not pass"
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from daq_service.acquisition.schedule import DueSet, plan
+from daq_service.acquisition.schedule import plan
 from daq_service.archive import ArchiveError, FolderSetReader
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
@@ -26,6 +26,7 @@ from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.recorder_state import FAREWELLS, RecorderState, read_recorder_state
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
+from hardware_drivers.measurement import DueSet
 from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)

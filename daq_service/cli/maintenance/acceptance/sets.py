@@ -6,10 +6,10 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.catalogue.rows import SetRow
 from daq_service.cli.maintenance.acceptance.evidence import Evidence
 from daq_service.cli.maintenance.acceptance.quantity import Quantity, Series, Table, quantity
+from hardware_drivers.measurement import DueSet
 from hardware_drivers.methods import PULSE_ECHO
 
 UNTOLD = "no recorder told of it"

@@ -53,7 +53,7 @@ def test_unknown_flags_and_negative_budgets_are_refused():
 
 
 def attempt(shot_index, number, quality):
-    return Attempt(shot_index=shot_index, attempt=number, quality=quality)
+    return Attempt(shot=shot_index, attempt=number, quality=quality)
 
 
 @pytest.mark.parametrize(

@@ -11,11 +11,10 @@ from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import RestrikeRule
 from daq_service.acquisition import shot_features
 from daq_service.acquisition.shot_features import analysed, features_of
-from daq_service.acquisition.take_set import MissedShot, TakenSet, n_missed, n_restrikes, n_tried, superseded
-from daq_service.archive import MissedRecord
+from daq_service.recording.acquire_set import TakenSet
 from hardware_drivers.errors import BusyError, ConnectionLostError
 from hardware_drivers.instruments import Acquired
-from hardware_drivers.measurement import ShotKey, Waveform
+from hardware_drivers.measurement import MissedShot, ShotKey, Waveform
 
 GOOD = ShotFeatures(flags=(), valid=True, quality="good")
 CLIPPED = ShotFeatures(flags=("clipped",), valid=False, quality="bad")
@@ -44,12 +43,7 @@ def test_shots_and_missed_records_are_stored_by_position():
         taken.keep(measurement)
     assert not taken.is_empty
     assert ([shot.sequence for shot in taken.shots], [echo.sequence for echo in taken.echoes]) == ([41], [40])
-    (missed_record,) = taken.missed_records()
-    assert (missed_record.key, missed_record.cause, missed_record.reason) == (
-        key("B", 0),
-        "no trigger within 5 s",
-        "no_trigger",
-    )
+    assert taken.missed == [missed("B", 0)]
 
 
 def test_missed_strikes_alone_are_no_record():
@@ -128,23 +122,22 @@ def test_outcomes_are_listed_by_position():
         make_shot("C", 1, 4),
         make_shot("C", 1, 5, attempt=1),
     ]
-    features = {1: CLIPPED, 2: GOOD, 3: CLIPPED, 4: GOOD, 5: CLIPPED}
-    assert superseded(shots, features) == {1: "superseded", 5: "superseded"}
+    taken = taken_set(*shots)
+    taken.features.update({1: CLIPPED, 2: GOOD, 3: CLIPPED, 4: GOOD, 5: CLIPPED})
+    assert taken.superseded() == {1: "superseded", 5: "superseded"}
 
 
 def test_a_stored_set_counts_strikes_misses_and_repetitions():
     record = replace(
         make_set(),
         missed=[
-            MissedRecord(key=key("B", 0, 1), cause="", reason="no_trigger"),
-            MissedRecord(key=key("C", 1), cause="", reason="no_trigger"),
-            MissedRecord(key=key("C", 1, 1), cause="", reason="no_trigger"),
+            missed("B", 0, 1),
+            missed("C", 1),
+            missed("C", 1, 1),
         ],
     )
     # B: shots 0 and 1, each repeated, one repetition without a record. C: shot 0 and a silent shot 1.
-    counts = {
-        name: (n_tried(record, name), n_missed(record, name), n_restrikes(record, name)) for name in "BCD"
-    }
+    counts = {name: (record.n_tried(name), record.n_missed(name), record.n_restrikes(name)) for name in "BCD"}
     assert counts == {"B": (2, 1, 2), "C": (2, 2, 1), "D": (0, 0, 0)}
 
 

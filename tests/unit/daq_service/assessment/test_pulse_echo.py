@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from support.small_experiment import small_settings
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.assessment.pulse_echo import PulseEchoAssessor
-from hardware_drivers.measurement import PulseEchoRecord, ShotKey, Stamp, Waveform
+from hardware_drivers.measurement import DueSet, PulseEchoRecord, ShotKey, Stamp, Waveform
 from simulator.echo.pulse import echo_calibration, echo_volts
 from simulator.electronics.transduction import counts_of
 from simulator.parameters.echo import EchoParameters

@@ -31,12 +31,12 @@ from daq_service.cli.maintenance.acceptance.evidence import read_evidence
 from daq_service.cli.maintenance.acceptance.page import shown
 from daq_service.cli.maintenance.acceptance.quantity import FEWEST_READINGS, Quantity, growth
 from daq_service.cli.maintenance.acceptance.texts import Criterion
-from daq_service.clock import SimulatedClock
 from daq_service.errors import UsageError
 from daq_service.processes.disk_policy import DiskSpace
 from daq_service.recording.computer_load import ComputerLoadWatch
 from daq_service.settings.file import load_settings
 from hardware_drivers.errors import AcquisitionTimeoutError, ConnectionLostError
+from simulator.clock import SimulatedClock
 
 TESTS = Path(__file__).parents[3]
 FOLDERS, HOW_TO = TESTS / "fixtures" / "folders", TESTS.parent / "docs" / "how-to" / "acceptance-test.md"

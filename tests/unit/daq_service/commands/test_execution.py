@@ -9,20 +9,21 @@ from support.filled_folder import frozen_baseline
 from support.invented_rows import condition
 from support.new_experiment import new_catalogue
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.alarms.states import Moment
 from daq_service.alarms.transitions import transition
 from daq_service.archive import FolderArchive
 from daq_service.catalogue import SetCommit
 from daq_service.catalogue.errors import CatalogueBusyError, CatalogueWriteError
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow, EventRow
-from daq_service.clock import SimulatedClock, WallClock
+from daq_service.clock import WallClock
 from daq_service.commands.execution import CommandExecutor
 from daq_service.commands.running_test import RunningTest
 from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
+from hardware_drivers.measurement import DueSet
 from hardware_drivers.nanoseconds import NS_PER_H
+from simulator.clock import SimulatedClock
 
 HOUR = 3.5
 

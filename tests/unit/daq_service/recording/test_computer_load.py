@@ -13,13 +13,13 @@ from support.memory_line import SETS, Line, healthy
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.rows import EventRow
-from daq_service.clock import SimulatedClock
 from daq_service.processes import resource_use as own_use
 from daq_service.processes.disk_policy import DiskSpace
 from daq_service.recording.computer_load import MACHINE_READ, ComputerLoadWatch
 from daq_service.recording.cost import Cost
 from daq_service.recording.reassessment.rebuild import rebuild
 from hardware_drivers.errors import AcquisitionTimeoutError
+from simulator.clock import SimulatedClock
 
 NOW_NS = 1_800_000_000_000_000_000
 SPACE = DiskSpace(free_bytes=3, total_bytes=4, level="ample")

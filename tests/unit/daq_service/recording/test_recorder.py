@@ -14,7 +14,7 @@ from daq_service.background.disk_watch import DiskWatch
 from daq_service.background.task import BackgroundTask
 from daq_service.catalogue import RecorderCatalogue
 from daq_service.catalogue.errors import CatalogueBusyError
-from daq_service.clock import SimulatedClock, parse_utc
+from daq_service.clock import parse_utc
 from daq_service.errors import RigError
 from daq_service.processes.disk_policy import RESERVE_FILE
 from daq_service.recording.persistence import Persistence
@@ -22,6 +22,7 @@ from daq_service.recording.set_assessor import SetAssessor
 from daq_service.settings.tree import StorageSettings
 from hardware_drivers.errors import BusyError, ConfigurationError, ConnectionLostError
 from hardware_drivers.measurement import SetKey, ShotKey
+from simulator.clock import SimulatedClock
 
 TRANSDUCERS = ("B", "C", "D")
 

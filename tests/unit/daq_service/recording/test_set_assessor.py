@@ -12,7 +12,6 @@ from support.synthetic_records import Scene, waveform_of
 from support.table_rows import forget_states
 
 from analysis.statistics.named_limits import LIMITS
-from daq_service.acquisition.schedule import due_of as due_of_record
 from daq_service.acquisition.schedule import plan
 from daq_service.archive.errors import ArchiveReadError
 from daq_service.assessment.transaction import Transaction
@@ -74,7 +73,7 @@ def due_of(line, index):
 
 def assess_set(ledger, line, record, file):
     features = {shot.sequence: line.features_of(shot) for shot in record.shots}
-    due = due_of_record(record) if record.unscheduled_index else due_of(line, record.set_index)
+    due = record.due if record.unscheduled_index else due_of(line, record.set_index)
     ledger.commit(ledger.assessed(due, record, file, features))
 
 

@@ -10,12 +10,12 @@ from support.filed_archive import FiledArchive
 from support.labview_files import write_set
 
 from daq_service.archive import FolderSetReader, PositionRecord, SetRecord
-from daq_service.clock import SimulatedClock
 from daq_service.errors import UsageError
 from daq_service.rig.playback import ArchivedShots, open_recording, playback_instruments
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.parameters import PlaybackParameters
+from simulator.clock import SimulatedClock
 
 HOUR_NS = 3_600_000_000_000
 

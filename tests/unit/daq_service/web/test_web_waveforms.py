@@ -213,8 +213,12 @@ def test_a_websocket_sends_the_newest_figure_of_each_position(filled, service):
 def test_a_websocket_sends_text_heartbeats_without_figures(service, monkeypatch):
     monkeypatch.setattr(service.app.state.context.hub, "heartbeat_interval_s", 0.05)
     with connect(f"ws://{service.netloc}/api/v1/waveforms/live?positions=C") as socket:
-        assert isinstance(socket.recv(timeout=DEADLINE_S), bytes)
-        assert [socket.recv(timeout=DEADLINE_S) for _ in range(2)] == ['{"interval_s":0.05}'] * 2
+        first, *others = (socket.recv(timeout=DEADLINE_S) for _ in range(4))
+    assert isinstance(first, bytes)
+    # The second shot of the set that the test before shows may be a figure more.
+    texts = [item for item in others if isinstance(item, str)]
+    assert len(texts) >= 2
+    assert set(texts) == {'{"interval_s":0.05}'}
 
 
 def test_websocket_of_the_own_origin_is_welcome(service):

@@ -4,12 +4,12 @@ import pytest
 from support.archived_sets import SET_INDEX, make_echo, make_set, make_shot, other_set
 from support.shots_in_memory import shots_in_memory
 
-from daq_service.clock import SimulatedClock
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
 from hardware_drivers.measurement import ShotKey
 from hardware_drivers.playback.clock import RecordedClock
 from hardware_drivers.playback.instruments import build_instruments
 from hardware_drivers.playback.source import ShotsBySet, ShotSource, acquired_of
+from simulator.clock import SimulatedClock
 
 S = 1_000_000_000
 START_NS = 1_704_067_200 * S

@@ -5,9 +5,7 @@ from itertools import count, islice
 import numpy as np
 import pytest
 
-from daq_service.acquisition.schedule import DueSet
 from daq_service.acquisition.strikes_ahead import strikes_after
-from daq_service.acquisition.take_set import MissedShot, SetPlan, take_set
 from hardware_drivers.errors import (
     AcquisitionTimeoutError,
     ConfigurationError,
@@ -15,7 +13,8 @@ from hardware_drivers.errors import (
     InstrumentError,
 )
 from hardware_drivers.instruments import Acquired, Echo, Rig
-from hardware_drivers.measurement import Calibration, ShotKey, Waveform
+from hardware_drivers.measurement import Calibration, DueSet, MissedShot, ShotKey, Waveform
+from hardware_drivers.take_set import SetPlan, take_set
 
 NS_PER_S = 1_000_000_000
 INTERVAL_S = 2.5

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 
-from daq_service.clock.machine import MACHINE, MachineClock
-from daq_service.clock.wall import IDLE_INTERVAL_S
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
+
+IDLE_INTERVAL_S = 0.2
+"""Longest wait between two calls of ``idle`` (`hardware_drivers.instruments.Clock`)."""
 
 
 class SimulatedClock:
@@ -18,6 +20,8 @@ class SimulatedClock:
         First reading; a resumed experiment passes the time of its last committed row.
     pace_h_per_s
         Hours of experiment a second of wall time; None jumps.
+    mono_ns, sleep
+        Monotonic time of the computer, and how it waits.
     """
 
     def __init__(
@@ -25,16 +29,17 @@ class SimulatedClock:
         start_utc_ns: int,
         *,
         pace_h_per_s: float | None = None,
-        machine: MachineClock = MACHINE,
+        mono_ns: Callable[[], int] = time.monotonic_ns,
+        sleep: Callable[[float], None] = time.sleep,
     ) -> None:
         if pace_h_per_s is not None and not pace_h_per_s > 0.0:
             raise ValueError(f"pace_h_per_s is {pace_h_per_s}; it must be positive, or None to jump")
         self._utc_ns = start_utc_ns
         self._pace_h_per_s = pace_h_per_s
-        self._machine = machine
+        self._mono_ns, self._sleep = mono_ns, sleep
         # Where experiment time met wall time last: pacing is measured from here, so that the
         # time spent on striking and storing is part of the pace and not added to it.
-        self._anchor = (start_utc_ns, machine.mono_ns())
+        self._anchor = (start_utc_ns, mono_ns())
 
     def utc_ns(self) -> int:
         """Return the experiment time in ns of UTC."""
@@ -54,11 +59,11 @@ class SimulatedClock:
             due_wall_ns = (
                 self._anchor[1] + (utc_ns - self._anchor[0]) / (self._pace_h_per_s * NS_PER_H) * NS_PER_S
             )
-            left_s = (due_wall_ns - self._machine.mono_ns()) / NS_PER_S
+            left_s = (due_wall_ns - self._mono_ns()) / NS_PER_S
             if left_s <= 0.0:
                 break
             if not idle():
                 return False
-            self._machine.sleep(min(left_s, IDLE_INTERVAL_S))
+            self._sleep(min(left_s, IDLE_INTERVAL_S))
         self._utc_ns = max(self._utc_ns, utc_ns)
         return idle()
