@@ -170,7 +170,7 @@ def taken_before(opened: OpenSet, rule: RestrikeRule) -> TakenSet:
     """Return what an earlier recorder took of a set; features are added separately."""
     taken = TakenSet(
         rule=rule,
-        retired=dict(opened.disabled),
+        disabled=dict(opened.disabled),
         missed=list(opened.missed),
         started_ns=opened.started_utc_ns,
         ended_ns=opened.last_utc_ns,
