@@ -1,6 +1,6 @@
-"""Slopes of a set's features for each cause: the source of `analysis.diagnosis.slopes`.
+"""Slopes of a set's features for each cause: the source of `analysis/diagnosis/slopes.toml`.
 
-    python benchmarks/diagnosis_slopes.py            prints the tables of `analysis.diagnosis.slopes`
+    python benchmarks/diagnosis_slopes.py            prints the tables of `analysis/diagnosis/slopes.toml`
     python benchmarks/diagnosis_slopes.py --json
 
 Noise-free shots of the paper's chain (disk sensor) on its dry Mindlin plate, through the extractor of the
@@ -128,11 +128,11 @@ def main() -> None:
         print(json.dumps({"slopes": source_slopes, "walls": {k: v.tolist() for k, v in of_walls.items()}}))
         return
     for name, row in of_sources.items():
-        print(f"{name!r:>16}: (" + ", ".join(f"{value:.4g}" for value in row) + "),")
+        print(f"{name!r:>16}: [" + ", ".join(f"{value:.4g}" for value in row) + "],")
     for name, rows in of_walls.items():
         print(f"wall {name}")
         for depth, row in zip(DEPTHS, rows, strict=True):
-            print(f"{depth:>16}: (" + ", ".join(f"{value:.5f}" for value in row) + "),")
+            print(f"{depth:>16}: [" + ", ".join(f"{value:.5f}" for value in row) + "],")
 
 
 if __name__ == "__main__":

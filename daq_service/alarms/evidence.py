@@ -6,7 +6,11 @@ values; sentences about missing values are left out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import tomllib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
+from pathlib import Path
+from string import Formatter
 from types import MappingProxyType
 from typing import Any
 
@@ -16,18 +20,10 @@ from hardware_drivers.measurement import SetKey
 
 Evidence = Mapping[str, Any]
 
-FEATURES: Mapping[str, str] = {
-    "tof_pp_s": "time of flight between the peaks",
-    "tof_ac_s": "time of flight by autocorrelation",
-    "amplitude_ratio": "amplitude ratio",
-    "autocorrelation_coefficient": "autocorrelation coefficient",
-    "psw_area_v_s": "area of the reflected wave",
-}
+_TEXTS = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+FEATURES: Mapping[str, str] = _TEXTS["features"]
 """Names of the five features of the distance."""
-INCIDENT: Mapping[str, str] = {
-    "isw_amplitude_v": "height of the incident wave",
-    "isw_fwhm_s": "width of the incident wave",
-}
+INCIDENT: Mapping[str, str] = _TEXTS["incident"]
 """Names of the two features that do not depend on the wall."""
 MOST_FEATURES = 3
 
@@ -72,17 +68,63 @@ def baseline_doubts(baseline_quality: Mapping[str, Any] | None) -> list[str]:
     ]
 
 
+class _Sentences(Formatter):
+    """Fills sentences in; an unknown value raises KeyError, and units are formats."""
+
+    def get_field(self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+        """Return a value that is known."""
+        name, *_ = field_name.partition("[")
+        if kwargs.get(name) is None or (found := super().get_field(field_name, args, kwargs))[0] is None:
+            raise KeyError(field_name)
+        return found
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        """Return a value in its unit, or as Python formats it."""
+        return (
+            _UNITS[format_spec](value) if format_spec in _UNITS else super().format_field(value, format_spec)
+        )
+
+
+def _filled(part: str, evidence: Evidence) -> Iterator[str]:
+    """Yield the sentences of a part of the table whose values are all known."""
+    for sentence in _TEXTS["sentences"][part]:
+        try:
+            text = _Sentences().vformat(sentence, (), evidence)
+        except KeyError:
+            continue
+        yield text
+
+
 def _signal_change(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of a signal change: size, diagnosis and confirmation set."""
-    yield from _distance_or_chart(evidence)
-    if known := _values(evidence.get("diagnosis_details") or {}, "sentence", "action", "changes"):
-        sentence, action, changes = known
-        yield f"What it comes from: {sentence}. What to do: {action}."
-        names = {**FEATURES, **INCIDENT}
-        changes_text = [
-            f"{names.get(name, name)} {100.0 * change:+.1f} %" for name, change in changes.items()
-        ]
-        yield f"Against the baseline, over some ten sets: {', '.join(changes_text)}."
+    """Yield the sentences of a signal change: size, diagnosis and confirmation set.
+
+    The size is that of the control chart if it decides, otherwise the squared distance.
+    """
+    statistic = evidence.get("mewma_statistic")
+    part = "diagnosis" if evidence.get("raised_by") == "diagnosis" else "chart"
+    limit_words = None
+    if statistic is None:
+        from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
+
+        part, statistic = "distance", evidence.get("distance_squared")
+        named = LIMITS.get(evidence.get("limit_name", ""))
+        limit_words = None if named is None else named.words
+    details, limit = evidence.get("diagnosis_details") or {}, evidence.get("limit")
+    names = {**FEATURES, **INCIDENT}
+    changes = [
+        f"{names.get(name, name)} {100.0 * change:+.1f} %"
+        for name, change in (details.get("changes") or {}).items()
+    ]
+    known = {
+        **evidence,
+        "baseline": evidence.get("baseline") or "the baseline",
+        "times_limit": None if statistic is None or limit is None else statistic / limit,
+        "shares": _shares(evidence.get("contributions") or {}) or None,
+        "limit_words": limit_words,
+        "changes": ", ".join(changes) if "changes" in details else None,
+    }
+    yield from _filled(part, known)
+    yield from _filled("cause", known)
     if confirmation := evidence.get("confirmation"):
         yield confirmation_sentence(confirmation)
         if confirmation["confirms"] is False and evidence.get("diagnosis") == "wall":
@@ -105,127 +147,37 @@ def confirmation_sentence(confirmation: Evidence) -> str:
     return f"Not confirmed: the set at {at} lies nearer to the baseline than to the planned sets before it."
 
 
-def _distance_or_chart(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of the control chart if it decides, otherwise those of the squared distance."""
-    if evidence.get("mewma_statistic") is not None:
-        yield from _by_chart(evidence)
-        return
-    if known := _values(evidence, "set_index", "distance_squared", "limit"):
-        set_index, distance, limit = known
-        baseline = evidence.get("baseline") or "the baseline"
-        yield (
-            f"Set {set_index} lies at a squared distance of {_number(distance)} from {baseline}, "
-            f"{_number(distance / limit)} times the limit of {_number(limit)}."
-        )
-    if known := _values(evidence, "contributions"):
-        yield from _contributions(known[0])
-    from analysis.statistics.named_limits import LIMITS  # with SciPy, which is slow to import
-
-    if limit := LIMITS.get(evidence.get("limit_name", "")):
-        yield (
-            "The distance counts how far the five features lie from the baseline's mean, in units of "
-            f"their own scatter there (equation 16); the limit is {limit.words}."
-        )
-    yield from _k_of_n(evidence, "judged sets")
-
-
-def _by_chart(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of an alarm of the control chart or of a diagnosis."""
-    by_cause = evidence.get("raised_by") == "diagnosis"
-    if known := _values(evidence, "set_index", "mewma_statistic", "limit"):
-        set_index, chart, limit = known
-        remark = "" if by_cause else "; it averages over sets, so the change has lasted"
-        yield (
-            f"With set {set_index} the chart stands at {_number(chart)}, {_number(chart / limit)} times its "
-            f"limit of {_number(limit)}{remark}."
-        )
-    if by_cause:
-        yield (
-            "It is not the chart that raised the alarm: two sets running, a confirmation counting as one, "
-            "told the wall apart from every other cause. No rate of false alarms is promised for that; "
-            "it was tried on the twin only."
-        )
-    if known := _values(evidence, "contributions"):
-        yield from _contributions(known[0], to="the chart")
-    if (known := _values(evidence.get("rule") or {}, "false_alarms_per_sensor_year")) and not by_cause:
-        yield f"The limit is made for {known[0]:g} false alarms of a healthy sensor a year."
-    if (known := _values(evidence, "rate_not_verified_reason")) and not by_cause:
-        yield f"That rate is not promised here: {known[0]}."
-    if known := _values(evidence, "distance_squared"):
-        yield f"The set alone has a squared distance of {_number(known[0])} from the baseline (equation 16)."
-
-
-def _contributions(contributions: Mapping[str, float | None], to: str = "the distance") -> Iterator[str]:
-    """Yield the sentence with the features that contribute most."""
+def _shares(contributions: Mapping[str, float | None]) -> str:
+    """Return the features that contribute most; empty if none is known."""
     known = {name: value for name, value in contributions.items() if value is not None}
     total = sum(known.values())
     largest = sorted(known, key=lambda name: -known[name])[:MOST_FEATURES]
-    shares = [
+    return ", ".join(
         f"{FEATURES.get(name, name.replace('_', ' '))} {100.0 * known[name] / total:.0f} %"
         for name in largest
         if known[name] > 0.0 and total > 0.0
-    ]
-    if shares:
-        yield f"What contributes most to {to}: {', '.join(shares)}."
+    )
 
 
 def _thickness(evidence: Evidence) -> Iterator[str]:
     """Yield the sentences of a wall thickness and its limit."""
-    if known := _values(evidence, "set_index", "thickness_m", "limit_m"):
-        set_index, wall_m, limit_m = known
-        difference_m = abs(limit_m - wall_m)
-        percent, side = 100.0 * difference_m / limit_m, "below" if wall_m < limit_m else "above"
-        yield (
-            f"Set {set_index} reads a wall of {_mm(wall_m)}, {_mm(difference_m)} ({percent:.1f} %) {side} "
-            f"the limit of {_mm(limit_m)}."
-        )
-    if known := _values(evidence, "interval_m"):
-        low_m, high_m = known[0]
-        roughness_values = _values(evidence, "roughness_rms_m")
-        roughness = (
-            f", its roughness is about {1e6 * roughness_values[0]:.0f} µm RMS" if roughness_values else ""
-        )
-        yield (
-            f"With 95 % confidence the mean under the beam is {_mm(low_m)} to {_mm(high_m)} thick{roughness}."
-        )
-    if known := _values(evidence, "travel_time_s", "reference_travel_time_s", "delay_s"):
-        now, first, delay = (f"{1e6 * value:.3f} µs" for value in known)
-        yield (
-            f"The echo took {now}, at the beginning {first}; less the probe's delay of {delay} of both, the "
-            "wall has thinned in this proportion (equation 17)."
-        )
-    yield from _k_of_n(evidence, "readings")
-
-
-def _k_of_n(evidence: Evidence, unit: str) -> Iterator[str]:
-    if known := _values(evidence.get("rule") or {}, "k", "n"):
-        yield f"The alarm takes {known[0]} of the last {known[1]} {unit} beyond the limit."
-
-
-def _hole(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of shots without a reflected wave."""
-    if known := _values(evidence, "set_index", "shots_without_psw"):
-        yield f"Set {known[0]} has {known[1]} shots without a reflected wave."
-    if known := _values(evidence.get("rule") or {}, "shots", "consecutive_sets"):
-        yield f"The alarm takes {known[0]} such shots in a set, {known[1]} sets running."
-
-
-def _poor_sets(evidence: Evidence) -> Iterator[str]:
-    """Yield the sentences of sets with too few valid shots."""
-    if known := _values(evidence, "consecutive_poor_sets", "set_index", "minimum_valid_shots"):
-        n_sets, set_index, minimum = known
-        yield f"{n_sets} sets running, the last one set {set_index}, have fewer than {minimum} valid shots."
-    if known := _values(evidence, "command_id"):
-        yield f"A person ordered it (order {known[0]}); the message says who and why."
+    known = dict(evidence)
+    if values := _values(evidence, "thickness_m", "limit_m"):
+        wall_m, limit_m = values
+        known["difference_m"] = difference_m = abs(limit_m - wall_m)
+        known |= {"percent": 100.0 * difference_m / limit_m, "side": "below" if wall_m < limit_m else "above"}
+    rms_m = evidence.get("roughness_rms_m")
+    known["roughness"] = "" if rms_m is None else f", its roughness is about {1e6 * rms_m:.0f} µm RMS"
+    yield from _filled("thickness_low", known)
 
 
 def _rig(evidence: Evidence) -> Iterator[str]:
     """Yield the sentence of an instrument error."""
-    if known := _values(evidence, "set_index", "error"):
-        set_key = SetKey(known[0], evidence.get("unscheduled_index", 0))
-        yield f"In set {set_key} the instruments' driver raised {known[1]}."
-    elif known := _values(evidence, "error"):
-        yield f"When the rig was to be opened, the instruments' driver raised {known[0]}."
+    if (set_index := evidence.get("set_index")) is None:
+        yield from _filled("opening", evidence)
+    else:
+        set_key = SetKey(set_index, evidence.get("unscheduled_index", 0))
+        yield from _filled("instruments", {**evidence, "set_key": set_key})
 
 
 def _data(evidence: Evidence) -> Iterator[str]:
@@ -238,26 +190,17 @@ def _data(evidence: Evidence) -> Iterator[str]:
 
 def _supply(evidence: Evidence) -> Iterator[str]:
     """Yield the sentences of the supply's newest reading."""
-    if known := _values(evidence, "supply_state", "supply_quality"):
-        age = _values(evidence, "supply_age_s")
-        age_text = f", {age[0]:.0f} s old" if age else ""
-        yield f"The supply's newest reading ({known[1]}{age_text}) tells its output as {known[0]}."
-    for name, scale, unit in (("voltage", 1.0, "V"), ("current", 1e3, "mA")):
-        suffix = unit[-1].lower()
-        if known := _values(evidence, f"{name}_{suffix}", f"{name}_min_{suffix}", f"{name}_max_{suffix}"):
-            mean, low, high = (f"{scale * value:.2f}" for value in known)
-            yield f"Since the set before, its {name} was {mean} {unit} in the mean ({low} to {high} {unit})."
-    if known := _values(evidence, "charge_coulomb"):
-        yield f"{known[0]:.1f} C have flowed since hour 0."
+    age_s = evidence.get("supply_age_s")
+    yield from _filled("supply", {**evidence, "age": "" if age_s is None else f", {age_s:.0f} s old"})
 
 
 _OF_KIND: Mapping[str, Callable[[Evidence], Iterator[str]]] = {
     "wall_change": _signal_change,
     "transducer_change": _signal_change,
     "thickness_low": _thickness,
-    "no_reflection": _hole,
-    "few_valid_shots": _poor_sets,
-    "transducer_disabled": _poor_sets,
+    "no_reflection": partial(_filled, "no_reflection"),
+    "few_valid_shots": partial(_filled, "poor_sets"),
+    "transducer_disabled": partial(_filled, "poor_sets"),
     "instruments_unavailable": _rig,
     "data_corrupt": _data,
 }
@@ -274,5 +217,10 @@ def _number(value: float) -> str:
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 
-def _mm(value_m: float) -> str:
-    return f"{1e3 * value_m:.3f} mm"
+_UNITS: Mapping[str, Callable[[float], str]] = {
+    "number": _number,
+    "mm": lambda value_m: f"{1e3 * value_m:.3f} mm",
+    "us": lambda value_s: f"{1e6 * value_s:.3f} µs",
+    "milli": lambda value: f"{1e3 * value:.2f}",
+    "mA": lambda value_a: f"{1e3 * value_a:.2f} mA",
+}

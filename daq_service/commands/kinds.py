@@ -1,8 +1,7 @@
 """Commands to a running test: arguments, conditions and effect of each kind.
 
 The web service and the command line check the arguments. The web service calls `Command.forbidden` with
-stored facts, the recorder with current ones. A new kind is a class in this package and a name in
-`registry.AnyCommand`.
+stored facts, the recorder with current ones. A new kind is a class in this package.
 """
 
 from __future__ import annotations
@@ -314,67 +313,6 @@ class AcknowledgeAlarm(StoredCommand):
         return "acknowledged"
 
 
-class Annotate(StoredCommand):
-    """Note something of an hour of the test, or of a range."""
-
-    kind: Literal["annotate"]
-    arguments: AnnotationArguments
-
-    def _forbidden(self, facts: Facts) -> Refusal | None:
-        """Return why the annotation cannot be stored; None if it can."""
-        position = self.arguments.position
-        if position is None or position in facts.places:
-            return None
-        return Refusal(
-            f"there is no position {position!r}",
-            f"The positions are {', '.join(facts.places)}; leave it out for the whole test.",
-            missing=True,
-        )
-
-    def carry_out_stored(self, test: StoredTest) -> str:
-        """Store the annotation and return the result."""
-        arguments = self.arguments
-        row = AnnotationRow(
-            position=arguments.position,
-            from_h=arguments.from_h,
-            to_h=arguments.from_h if arguments.to_h is None else arguments.to_h,
-            text=arguments.text.strip(),
-            author=self.author,
-            written_utc_ns=test.moment().utc_ns,
-        )
-        test.annotate(row, "annotation_added")
-        return "noted"
-
-
-class WithdrawAnnotation(StoredCommand):
-    """Take an annotation back; it stays in the catalogue, with who withdrew it."""
-
-    kind: Literal["withdraw_annotation"]
-    arguments: WithdrawalArguments
-
-    def _forbidden(self, facts: Facts) -> Refusal | None:
-        """Return why the annotation cannot be withdrawn; None if it can."""
-        wanted = self.arguments.annotation_id
-        row = next((row for row in facts.annotations if row.id == wanted), None)
-        if row is None:
-            return Refusal(
-                f"there is no annotation {wanted}", "/api/v1/annotations lists them.", missing=True
-            )
-        if row.withdrawn_utc_ns is None:
-            return None
-        return Refusal(
-            f"annotation {wanted} was withdrawn by {row.withdrawn_by} already",
-            "Note it again if it is still true.",
-        )
-
-    def carry_out_stored(self, test: StoredTest) -> str:
-        """Mark the annotation as withdrawn and return the result."""
-        (row,) = (row for row in test.annotations() if row.id == self.arguments.annotation_id)
-        withdrawn = replace(row, withdrawn_utc_ns=test.moment().utc_ns, withdrawn_by=self.author)
-        test.annotate(withdrawn, "annotation_withdrawn")
-        return "withdrawn"
-
-
 class Pause(Command):
     """Pause striking until the test is resumed, also after a restart."""
 
@@ -555,3 +493,64 @@ class SupplyOff(_SupplyCommand):
 
     def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
         return test.switch.supply_off(self.author, test.moment().due_h)
+
+
+class Annotate(StoredCommand):
+    """Note something of an hour of the test, or of a range."""
+
+    kind: Literal["annotate"]
+    arguments: AnnotationArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the annotation cannot be stored; None if it can."""
+        position = self.arguments.position
+        if position is None or position in facts.places:
+            return None
+        return Refusal(
+            f"there is no position {position!r}",
+            f"The positions are {', '.join(facts.places)}; leave it out for the whole test.",
+            missing=True,
+        )
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Store the annotation and return the result."""
+        arguments = self.arguments
+        row = AnnotationRow(
+            position=arguments.position,
+            from_h=arguments.from_h,
+            to_h=arguments.from_h if arguments.to_h is None else arguments.to_h,
+            text=arguments.text.strip(),
+            author=self.author,
+            written_utc_ns=test.moment().utc_ns,
+        )
+        test.annotate(row, "annotation_added")
+        return "noted"
+
+
+class WithdrawAnnotation(StoredCommand):
+    """Take an annotation back; it stays in the catalogue, with who withdrew it."""
+
+    kind: Literal["withdraw_annotation"]
+    arguments: WithdrawalArguments
+
+    def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return why the annotation cannot be withdrawn; None if it can."""
+        wanted = self.arguments.annotation_id
+        row = next((row for row in facts.annotations if row.id == wanted), None)
+        if row is None:
+            return Refusal(
+                f"there is no annotation {wanted}", "/api/v1/annotations lists them.", missing=True
+            )
+        if row.withdrawn_utc_ns is None:
+            return None
+        return Refusal(
+            f"annotation {wanted} was withdrawn by {row.withdrawn_by} already",
+            "Note it again if it is still true.",
+        )
+
+    def carry_out_stored(self, test: StoredTest) -> str:
+        """Mark the annotation as withdrawn and return the result."""
+        (row,) = (row for row in test.annotations() if row.id == self.arguments.annotation_id)
+        withdrawn = replace(row, withdrawn_utc_ns=test.moment().utc_ns, withdrawn_by=self.author)
+        test.annotate(withdrawn, "annotation_withdrawn")
+        return "withdrawn"

@@ -1,57 +1,30 @@
-"""All kinds of commands, by name."""
+"""All kinds of commands, by name: the classes of this package whose field ``kind`` has one value."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Annotated, get_args
+from functools import reduce
+from operator import or_
+from typing import TYPE_CHECKING, Annotated, get_args
 
 from pydantic import Field, ValidationError
 
-from daq_service.commands.baselines import ApproveBaseline, RenewBaseline
-from daq_service.commands.kinds import (
-    AcknowledgeAlarm,
-    Annotate,
-    Command,
-    Disable,
-    Enable,
-    FinishNow,
-    Pause,
-    Resume,
-    Stop,
-    Strike,
-    SupplyOff,
-    SupplyOn,
-    TrustClock,
-    WithdrawAnnotation,
-)
-from daq_service.commands.suppression import ReturnToService, ShelveAlarm, TakeOutOfService, UnshelveAlarm
+from daq_service.commands import baselines, kinds, suppression
+from daq_service.commands.kinds import Command
 from daq_service.errors import UsageError
 
-AnyCommand = Annotated[
-    FinishNow
-    | Stop
-    | AcknowledgeAlarm
-    | Pause
-    | Resume
-    | TrustClock
-    | Disable
-    | Enable
-    | Strike
-    | SupplyOn
-    | SupplyOff
-    | Annotate
-    | WithdrawAnnotation
-    | ShelveAlarm
-    | UnshelveAlarm
-    | TakeOutOfService
-    | ReturnToService
-    | ApproveBaseline
-    | RenewBaseline,
-    Field(discriminator="kind"),
-]
 KINDS: Mapping[str, type[Command]] = {
-    get_args(order.model_fields["kind"].annotation)[0]: order for order in get_args(get_args(AnyCommand)[0])
+    get_args(command.model_fields["kind"].annotation)[0]: command
+    for module in (kinds, suppression, baselines)
+    for command in vars(module).values()
+    if isinstance(command, type)
+    and issubclass(command, Command)
+    and get_args(command.model_fields["kind"].annotation)
 }
+if TYPE_CHECKING:
+    AnyCommand = Command
+else:
+    AnyCommand = Annotated[reduce(or_, KINDS.values()), Field(discriminator="kind")]
 
 
 def parse_command(kind: str, author: str, arguments: Mapping[str, object]) -> Command:

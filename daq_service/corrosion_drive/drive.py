@@ -13,7 +13,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal, Protocol, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from daq_service.catalogue.rows import EnvironmentRow, SupplyState, values
 from daq_service.corrosion_drive.charge import Command, DriveState, add_interval, elapsed_s
@@ -32,18 +32,6 @@ SWITCH_OFF_PENDING = "Supply switch-off pending, output may be ON."
 SWITCH_OFF_BY_HAND = "Switch the supply off by hand immediately."
 HOW_TO_SWITCH_ON = "Find the cause, then switch on with `solimon supply --on`."
 
-AlarmKind = Literal[
-    "supply_not_responding",
-    "supply_off_unexpectedly",
-    "supply_on_unexpectedly",
-    "supply_switch_off_pending",
-    "supply_current_limit",
-    "supply_deviation",
-    "supply_above_cap",
-    "interlock_tripped",
-    "supply_watchdog_trip",
-    "climate_not_responding",
-]
 NORMAL = "returned to normal"
 
 
@@ -51,7 +39,7 @@ NORMAL = "returned to normal"
 class DriveCondition:
     """Condition of one possible alarm."""
 
-    name: AlarmKind
+    name: str
     active: bool
     message: str
 
@@ -326,7 +314,7 @@ class SupplyLogger:
             self._supply_log.read_at_once(self._clock.mono_ns())
         self._command, self._high_readings = None, 0
 
-    def trip(self, reason: str, *, kind: AlarmKind | None = None) -> bool:
+    def trip(self, reason: str, *, kind: str | None = None) -> bool:
         """Trip the interlock: switch off now, or as soon as the supply responds, and stay off.
 
         Parameters
@@ -389,7 +377,7 @@ class SupplyLogger:
         silent_s, read_error = self._supply_log.silent_s(now_ns), self._supply_log.error
         expected_a = f"{self._parameters.minimum_current_a:g} to {limit_a:g} A"
         trip_reason = self._tripped or ""
-        states: Mapping[AlarmKind, tuple[bool, str]] = {
+        states: Mapping[str, tuple[bool, str]] = {
             "supply_not_responding": (
                 self._supply_log.quality(now_ns) == "no_communication",
                 f"Supply not responding, output state unknown. No reading for {silent_s:.0f} s: {read_error}",

@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
+from pathlib import Path
 from types import MappingProxyType
 
 from pydantic import BaseModel, ConfigDict, Field
 
 DAY_S = 86_400.0
 EARLIER_ALARM_KINDS: Mapping[str, str] = MappingProxyType(
-    {
-        "not_judged": "not_assessed",
-        "hole": "no_reflection",
-        "thickness": "thickness_low",
-        "no_data": "few_valid_shots",
-        "retired": "transducer_disabled",
-        "rig_unavailable": "instruments_unavailable",
-        "data_damaged": "data_corrupt",
-        "storage_unavailable": "write_failed",
-        "clock_doubted": "clock_unverified",
-        "supply_lost": "supply_not_responding",
-        "supply_limit": "supply_current_limit",
-        "supply_unwatched": "supply_watchdog_trip",
-    }
+    tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))["earlier_kinds"]
 )
 """Current kinds of alarms by their names in earlier versions, for stored rows and configurations."""
 LONGEST_DELAY_S: Mapping[str, float] = {

@@ -5,7 +5,6 @@ Nothing is written, and concurrent changes by a recorder do not count as corrupt
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -17,7 +16,7 @@ from hardware_drivers.measurement import SetKey
 _PAGE_BYTES = 4096
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(slots=True, kw_only=True, eq=False)
 class CheckedJournal:
     """Result of a check of the journal.
 
@@ -29,27 +28,16 @@ class CheckedJournal:
         Path of the segment, relative to the data folder, and the corruption.
     suspects
         Sets without a file that may lack a frame.
+    unsound
+        Frames that do not match their checksum, each with the path of its segment.
     last_sequence, n_lost
         Highest shot id of all frames, and upper limit of the number of lost frames.
     """
 
-    sets: Mapping[SetKey, JournaledSet]
-    damages: list[tuple[str, Damage]]
-    suspects: frozenset[SetKey] = frozenset()
-    last_sequence: int = -1
-    n_lost: int = 0
-    n_frames: int = 0
-    n_bytes: int = 0
-
-
-@dataclass(slots=True, eq=False)
-class _Scan:
-    """Frames of all segments, and byte ranges outside frames."""
-
     sets: dict[SetKey, JournaledSet] = field(default_factory=dict)
-    unsound: list[tuple[str, Frame]] = field(default_factory=list)
-    gaps: list[tuple[str, Damage]] = field(default_factory=list)
+    damages: list[tuple[str, Damage]] = field(default_factory=list)
     suspects: set[SetKey] = field(default_factory=set)
+    unsound: list[tuple[str, Frame]] = field(default_factory=list)
     last_sequence: int = -1
     n_lost: int = 0
     n_frames: int = 0
@@ -76,7 +64,7 @@ class _Scan:
         """Add bytes that are no frame, and the sets of the frames around them."""
         self.suspects |= neighbors
         self.n_lost += 1 + (end - start) // HEADER.size
-        self.gaps.append(
+        self.damages.append(
             (name, Damage(reason=f"bytes {start} to {end} are no frame, or one whose header is damaged"))
         )
 
@@ -97,25 +85,24 @@ def check_journal(folder: Path) -> CheckedJournal:
     OSError
         A segment cannot be read.
     """
-    scan = _Scan()
+    checked = CheckedJournal()
     for number, content in contents(folder):
-        scan.take(number, _segment_name(folder, number), content)
+        checked.take(number, _segment_name(folder, number), content)
     filed = referenced_sets(path.name for path in (folder / SETS_FOLDER).glob("set_*.h5"))
-    damages = list(scan.gaps)
     misnamed = Damage(reason="it holds frames, but its name is no segment's")
-    damages += [(f"{JOURNAL_FOLDER}/{path.name}", misnamed) for path in strays(folder)]
+    checked.damages += [(f"{JOURNAL_FOLDER}/{path.name}", misnamed) for path in strays(folder)]
     reported: set[int] = set()
-    for set_key, journaled in scan.sets.items():
+    for set_key, journaled in checked.sets.items():
         if journaled.end is not None and set_key not in filed:
             # If several segments share a set, the segment of a lost frame is unknown.
-            set_frames = [(name, frame) for name, frame in scan.unsound if frame.set_key == set_key]
+            set_frames = [(name, frame) for name, frame in checked.unsound if frame.set_key == set_key]
             segment_of = {frame.sequence: name for name, frame in set_frames}
             for damage in journaled.damages():
                 reported.add(damage.sequence or 0)
                 segment = segment_of.get(damage.sequence or 0, _segment_name(folder, min(journaled.segments)))
-                damages.append((segment, damage))
-    for name, frame in scan.unsound:
-        journaled = scan.sets[frame.set_key]
+                checked.damages.append((segment, damage))
+    for name, frame in checked.unsound:
+        journaled = checked.sets[frame.set_key]
         # Frames of a set with a file are not read any more; a failed write was repeated in another segment.
         if (
             frame.set_key not in filed
@@ -125,17 +112,11 @@ def check_journal(folder: Path) -> CheckedJournal:
             shot = f"shot {frame.sequence}" if frame.sequence >= 0 else "a note"
             location = f"byte {frame.start}, {shot} of set {frame.set_key}"
             reason = f"the frame at {location}, does not match its checksum"
-            damages.append((name, Damage(reason=reason, sequence=max(frame.sequence, 0) or None)))
-    suspects = {frame.set_key for _, frame in scan.unsound} | scan.suspects
-    return CheckedJournal(
-        sets=dict(sorted(scan.sets.items())),
-        damages=damages,
-        suspects=frozenset(key for key in suspects if key not in filed and not scan.sets[key].is_whole),
-        last_sequence=scan.last_sequence,
-        n_lost=scan.n_lost,
-        n_frames=scan.n_frames,
-        n_bytes=scan.n_bytes,
-    )
+            checked.damages.append((name, Damage(reason=reason, sequence=max(frame.sequence, 0) or None)))
+    suspects = {frame.set_key for _, frame in checked.unsound} | checked.suspects
+    checked.suspects = {key for key in suspects if key not in filed and not checked.sets[key].is_whole}
+    checked.sets = dict(sorted(checked.sets.items()))
+    return checked
 
 
 def _segment_name(folder: Path, number: int) -> str:

@@ -62,7 +62,7 @@ class Journal:
         self._folder, self._segment_bytes = folder, segment_bytes
         renamed = self._rename_strays()
         checked = check_journal(folder)
-        self.left: dict[SetKey, JournaledSet] = dict(checked.sets)
+        self.left: dict[SetKey, JournaledSet] = checked.sets
         self.damage = self._copy_damaged(checked, renamed)
         self._sets_in: dict[int, dict[SetKey, tuple[int, int | None]]] = {
             number: {} for number in segments(folder)
@@ -98,7 +98,7 @@ class Journal:
             files={
                 copies[file]: f"copy of {file}: {'; '.join(reasons)}" for file, reasons in reasons_of.items()
             },
-            sets=checked.suspects,
+            sets=frozenset(checked.suspects),
             next_sequence=checked.last_sequence + 1,
             n_lost=checked.n_lost,
         )

@@ -144,7 +144,7 @@ class FolderCheck:
     catalogue: UnchangedCatalogue | None
     experiment: Found | None = None
     sets_with_rows: frozenset[SetKey] = frozenset()
-    journal: CheckedJournal = field(default_factory=lambda: CheckedJournal(sets={}, damages=[]))
+    journal: CheckedJournal = field(default_factory=CheckedJournal)
     checked: Counter[str] = field(default_factory=Counter)
     unreadable: set[str] = field(default_factory=set)
     progress: Callable[[int, int], None] = lambda done, planned: None
