@@ -71,18 +71,19 @@ def baseline_doubts(baseline_quality: Mapping[str, Any] | None) -> list[str]:
 class _Sentences(Formatter):
     """Fills sentences in; an unknown value raises KeyError, and units are formats."""
 
-    def get_field(self, field_name: str, args: Sequence[Any], kwargs: Mapping[str, Any]) -> Any:
+    def get_field(self, field_name: str, args: Sequence[object], kwargs: Mapping[str, object]) -> object:
         """Return a value that is known."""
         name, *_ = field_name.partition("[")
         if kwargs.get(name) is None or (found := super().get_field(field_name, args, kwargs))[0] is None:
             raise KeyError(field_name)
         return found
 
-    def format_field(self, value: Any, format_spec: str) -> str:
+    def format_field(self, value: object, format_spec: str) -> str:
         """Return a value in its unit, or as Python formats it."""
-        return (
-            _UNITS[format_spec](value) if format_spec in _UNITS else super().format_field(value, format_spec)
-        )
+        unit = _UNITS.get(format_spec)
+        if unit is not None and isinstance(value, int | float):
+            return unit(value)
+        return str(super().format_field(value, format_spec))
 
 
 def _filled(part: str, evidence: Evidence) -> Iterator[str]:

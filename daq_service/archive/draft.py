@@ -156,7 +156,7 @@ def _skeleton(structure: _Structure) -> _Skeleton:
         for node in structure.draft[1:]:
             parent, _, name = node.path.rpartition("/")
             if node.link:
-                nexus.add_hard_link(made[parent], name, file, node.link)
+                made[parent].links.create_hard(name.encode(), file, node.link.encode())
             elif node.stored is None:
                 made[node.path] = nexus.create_group(made[parent], name, node.attributes)
             else:

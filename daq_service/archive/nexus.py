@@ -244,11 +244,6 @@ def set_attributes(target: h5g.GroupID | h5d.DatasetID, attributes: Mapping[str,
             h5a.create(target, name.encode(), data_type, _space(array.shape)).write(array, mtype=data_type)
 
 
-def add_hard_link(parent: h5g.GroupID, name: str, source_parent: h5g.GroupID, source_name: str) -> None:
-    """Add a second name for a dataset, which is stored once."""
-    parent.links.create_hard(name.encode(), source_parent, source_name.encode())
-
-
 @cache
 def _variable_text() -> h5t.TypeID:
     """Return the HDF5 type of strings of variable length."""

@@ -154,7 +154,10 @@ class FolderSetReader:
     def verify_set(self, reference: SetReference) -> list[Damage]:
         """Read a complete set and list its corrupt parts."""
         journaled = self._journaled(reference)
-        return _verify_file(self.folder / reference) if journaled is None else journaled.damages()
+        if journaled is not None:
+            return journaled.damages()
+        with opened_set(self.folder / reference) as entry:
+            return _read_records(entry)[1] + _unreadable(entry)
 
     def _files(self) -> dict[SetKey, SetReference]:
         """Return the references of the sets' files by key."""
@@ -292,12 +295,6 @@ def _read_waveform(path: Path, position: str, shot_index: int) -> Waveform:
                     return waveform
                 raise CorruptArchiveError(f"{path}: {_damage_of_row(table, row, waveform)}")
         raise CorruptArchiveError(f"{path}: {_damage_of_row(table, row, 'no array holds it')}")
-
-
-def _verify_file(path: Path) -> list[Damage]:
-    """List the corrupt records and other parts of a file."""
-    with opened_set(path) as entry:
-        return _read_records(entry)[1] + _unreadable(entry)
 
 
 def _unreadable(entry: h5py.Group) -> list[Damage]:

@@ -11,7 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from daq_service.archive.errors import ArchiveWriteError, ConflictingSetError
-from daq_service.archive.journal.frames import Buffers, end_frame
+from daq_service.archive.journal.frames import Buffers, begin_frame, end_frame, missed_frame
 from daq_service.archive.journal.writer import Journal
 from daq_service.archive.layout import build_image
 from daq_service.archive.reader import FolderSetReader
@@ -89,9 +89,8 @@ class FolderArchive(FolderSetReader):
     ) -> None:
         """Record the start of a set; durable with the next `sync`."""
         self._sequences_of[set_key] = set()
-        self._journal_writer.begin(
-            set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled
-        )
+        frame = begin_frame(set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled)
+        self._journal_writer.add(set_key, frame)
 
     def append(self, item: Shot | PulseEchoRecord | MissedShot, utc_ns: int) -> None:
         """Add a record or a missed record to a started set; acknowledged by `sync`."""
@@ -99,7 +98,7 @@ class FolderArchive(FolderSetReader):
         if sequences is None:
             return
         if isinstance(item, MissedShot):
-            self._journal_writer.append_missed(item, utc_ns)
+            self._journal_writer.add(item.key.set_key, missed_frame(item, utc_ns))
         else:
             self._journal_writer.append(item)
             sequences.add(item.sequence)
@@ -127,12 +126,13 @@ class FolderArchive(FolderSetReader):
         """Continue an open set: new records are added to the durable ones."""
         self._sequences_of[opened.set_key] = {record.sequence for record in opened.records}
         if not opened.is_dated:
-            self._journal_writer.begin(
+            frame = begin_frame(
                 opened.set_key,
                 due_utc_ns=opened.due_utc_ns,
                 started_utc_ns=opened.started_utc_ns,
                 disabled=opened.disabled,
             )
+            self._journal_writer.add(opened.set_key, frame)
 
     def store_set(self, record: SetRecord) -> StoredSet:
         """Make a set durable; on return every record of it is acknowledged."""
@@ -167,7 +167,7 @@ class FolderArchive(FolderSetReader):
             if item.sequence not in sequences:
                 self._journal_writer.append(item)
                 sequences.add(item.sequence)
-        self._journal_writer.end(record.set_key, frame)
+        self._journal_writer.add(record.set_key, frame)
         self._end_frames = {record.set_key: frame}
 
     def places(self, set_key: SetKey) -> Places:

@@ -49,6 +49,8 @@ class SetFinalizer(BackgroundTask):
     ----------
     damaged
         Sets without a file, because they are corrupt in the journal.
+    trouble
+        Why the file of a set could not be written; empty if there is no such set.
     """
 
     def __init__(
@@ -68,7 +70,7 @@ class SetFinalizer(BackgroundTask):
         self._executor: Executor | None = None
         self._running: dict[SetKey, Future[tuple[SetReference, str, str]]] = {}
         self._again_s: dict[SetKey, float] = {}
-        self._refusal = self._last_message = ""
+        self.trouble = self._last_message = ""
         self.damaged: dict[str, str] = {}
 
     def after_set(self, set_key: SetKey) -> None:
@@ -133,17 +135,12 @@ class SetFinalizer(BackgroundTask):
             self._put_off(set_key, error)
             return
         self._archive.settle(set_key)
-        self._refusal = self._refusal if self._again_s else ""
+        self.trouble = self.trouble if self._again_s else ""
 
     def _put_off(self, set_key: SetKey, error: Exception) -> None:
         log.error("set %s has no file yet and stays in the journal: %s", set_key, error)
-        self._refusal = f"{error}"
+        self.trouble = f"{error}"
         self._again_s[set_key] = self._machine.mono_s() + AGAIN_AFTER_S
-
-    @property
-    def trouble(self) -> str:
-        """Return why the file of a set could not be written; empty if there is no such set."""
-        return self._refusal
 
     @property
     def n_under_way(self) -> int:

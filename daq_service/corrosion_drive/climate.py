@@ -6,6 +6,7 @@ import logging
 from dataclasses import replace
 
 from daq_service.catalogue.rows import EnvironmentRow, ReadingQuality
+from daq_service.corrosion_drive.drive import CONDITIONS
 from daq_service.corrosion_drive.reading_log import ReadingLog
 from hardware_drivers.drive_parameters import LogParameters
 from hardware_drivers.errors import InstrumentError
@@ -55,10 +56,8 @@ class ClimateLog:
         if self.quality() != "no_communication":
             return ""
         silent_s = self._log.silent_s(self._clock.mono_ns())
-        return (
-            f"Climate probe not responding. No reading for {silent_s:.0f} s: {self._log.error}. "
-            "Check its cable and port."
-        )
+        message = CONDITIONS["climate_not_responding"]["message"]
+        return str(message.format(silent_s=silent_s, read_error=self._log.error))
 
     def add_to_row(self, row: EnvironmentRow) -> EnvironmentRow:
         """Add the newest reading, its quality and its age to a row."""

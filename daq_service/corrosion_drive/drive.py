@@ -11,8 +11,10 @@ While the connection is lost a switch-off is pending; it follows as soon as the 
 from __future__ import annotations
 
 import logging
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Protocol, runtime_checkable
 
 from daq_service.catalogue.rows import EnvironmentRow, SupplyState, values
@@ -28,10 +30,8 @@ log = logging.getLogger(__name__)
 
 SWITCH_OFF_EVERY_S = 5.0
 """Longest interval between attempts of a pending switch-off, independent of the reading interval."""
-SWITCH_OFF_PENDING = "Supply switch-off pending, output may be ON."
-SWITCH_OFF_BY_HAND = "Switch the supply off by hand immediately."
-HOW_TO_SWITCH_ON = "Find the cause, then switch on with `solimon supply --on`."
-
+CONDITIONS = tomllib.loads(Path(__file__).with_name("conditions.toml").read_text(encoding="utf-8"))
+"""Priority, and message while active, of each possible alarm."""
 NORMAL = "returned to normal"
 
 
@@ -76,6 +76,13 @@ class SupplyLogger:
         Its monotonic time schedules the readings.
     state
         State at the end of the last run; see `charge.restored_state`.
+
+    Attributes
+    ----------
+    tripped
+        Reason why the interlock has tripped; None if it has not.
+    must_switch_off
+        The output must be off and has not been read as off; each tick tries again.
     """
 
     def __init__(
@@ -86,8 +93,8 @@ class SupplyLogger:
         now_ns = clock.mono_ns()
         self._supply_log = ReadingLog(parameters.log_interval_s, now_ns)
         self._charge = state.charge
-        self._tripped, self._latched = state.tripped, state.latched
-        self._command, self._must_switch_off = state.command, state.must_switch_off
+        self.tripped, self._latched = state.tripped, state.latched
+        self._command, self.must_switch_off = state.command, state.must_switch_off
         self._commanded_ns = now_ns
         self._booked_utc_ns = state.booked_utc_ns
         self._newest: SupplyReading | None = None
@@ -96,23 +103,13 @@ class SupplyLogger:
         self._deviates_since_ns: int | None = None
 
     @property
-    def tripped(self) -> str | None:
-        """Return the reason why the interlock has tripped; None if it has not."""
-        return self._tripped
-
-    @property
-    def must_switch_off(self) -> bool:
-        """Return whether the output must be off and has not been read as off; each tick tries again."""
-        return self._must_switch_off
-
-    @property
     def state(self) -> DriveState:
         """Return the state for the next supply process."""
         return DriveState(
             charge=self._charge,
             command=self._command,
-            must_switch_off=self._must_switch_off,
-            tripped=self._tripped,
+            must_switch_off=self.must_switch_off,
+            tripped=self.tripped,
             latched=self._latched,
             booked_utc_ns=self._booked_utc_ns,
         )
@@ -133,14 +130,14 @@ class SupplyLogger:
                 self._switch_off_or_read(self._supply, now_ns)
             except InstrumentError as error:
                 self._handle_failure(error, now_ns)
-            if self._must_switch_off:
+            if self.must_switch_off:
                 self._supply_log.read_within(now_ns, SWITCH_OFF_EVERY_S)
 
     def _switch_off_or_read(self, supply: PowerSupply, now_ns: int) -> None:
         """Switch off if that is pending; otherwise read."""
-        if self._must_switch_off:
+        if self.must_switch_off:
             supply.make_safe()
-            self._must_switch_off = False
+            self.must_switch_off = False
             self._supply_log.read_at_once(now_ns)
         else:
             reading = supply.read(self._parameters.read_timeout_s)
@@ -278,7 +275,7 @@ class SupplyLogger:
                 raise type(error)(f"{error}; switch-off pending, the output may be ON") from error
             raise
         log.warning("output switched on by %s: %g V, at most %g A", author, voltage_v, limit_a)
-        self._tripped, self._latched, self._must_switch_off = None, frozenset(), False
+        self.tripped, self._latched, self.must_switch_off = None, frozenset(), False
         self._command, self._high_readings = Command(voltage_v=voltage_v, current_limit_a=limit_a), 0
         self._commanded_ns, self._deviates_since_ns = self._clock.mono_ns(), None
         return Reply(done=True)
@@ -298,9 +295,9 @@ class SupplyLogger:
         self._supply_log.read_at_once(self._clock.mono_ns())
         self.end_command()
         self._latched -= {"supply_on_unexpectedly", "supply_off_unexpectedly"}
-        self._must_switch_off = True
+        self.must_switch_off = True
         self._supply.make_safe()
-        self._must_switch_off = False
+        self.must_switch_off = False
         log.warning("output switched off by %s", author)
         return Reply(done=True)
 
@@ -333,22 +330,22 @@ class SupplyLogger:
 
     def _latch(self, reason: str) -> None:
         """Trip the interlock for a reason; the output must be switched off."""
-        if self._tripped is None:
-            self._tripped = reason
+        if self.tripped is None:
+            self.tripped = reason
             log.error("interlock tripped: %s", reason)
         self.end_command()
-        self._must_switch_off = True
+        self.must_switch_off = True
 
     def _switch_off_now(self) -> bool:
         """Switch the output off and read it at once; return False after an instrument error."""
         now_ns = self._clock.mono_ns()
-        self._must_switch_off = True
+        self.must_switch_off = True
         try:
             self._supply.make_safe()
         except InstrumentError as error:
             self._handle_failure(error, now_ns)
             return False
-        self._must_switch_off = False
+        self.must_switch_off = False
         self._supply_log.read_at_once(now_ns)
         return True
 
@@ -374,44 +371,29 @@ class SupplyLogger:
         deviates_s = 0.0
         if command is not None and reading is not None and self._deviates_since_ns is not None:
             deviates_s = (reading.stamp.mono_ns - self._deviates_since_ns) / NS_PER_S
-        silent_s, read_error = self._supply_log.silent_s(now_ns), self._supply_log.error
-        expected_a = f"{self._parameters.minimum_current_a:g} to {limit_a:g} A"
-        trip_reason = self._tripped or ""
-        states: Mapping[str, tuple[bool, str]] = {
-            "supply_not_responding": (
-                self._supply_log.quality(now_ns) == "no_communication",
-                f"Supply not responding, output state unknown. No reading for {silent_s:.0f} s: {read_error}",
-            ),
-            "supply_off_unexpectedly": (
-                "supply_off_unexpectedly" in self._latched,
-                f"Supply output off without a command{cause}. {HOW_TO_SWITCH_ON}",
-            ),
-            "supply_on_unexpectedly": (
-                "supply_on_unexpectedly" in self._latched,
-                f"Supply output found ON without a command, switched off. {HOW_TO_SWITCH_ON}",
-            ),
-            "supply_switch_off_pending": (
-                self._must_switch_off,
-                f"{SWITCH_OFF_PENDING} {read_error}. {SWITCH_OFF_BY_HAND}",
-            ),
-            "supply_current_limit": (
-                reading is not None and self._is_limited(reading),
-                f"Supply in current limit (CC mode), voltage below setpoint. {measured}; {limit_a:g} A set.",
-            ),
-            "supply_deviation": (
-                deviates_s >= self._parameters.deviation_after_s,
-                f"Supply {measured}; {voltage_v:g} V set, {expected_a}. Check leads, bath and setpoint.",
-            ),
-            "supply_above_cap": (
-                "supply_above_cap" in self._latched,
-                f"Supply above its cap, output switched off. {trip_reason}. {HOW_TO_SWITCH_ON}",
-            ),
-            "interlock_tripped": (self._tripped is not None, trip_reason),
-            "supply_watchdog_trip": ("supply_watchdog_trip" in self._latched, trip_reason),
+        values = {
+            "silent_s": self._supply_log.silent_s(now_ns),
+            "read_error": self._supply_log.error,
+            "cause": cause,
+            "measured": measured,
+            "voltage_v": voltage_v,
+            "least_a": self._parameters.minimum_current_a,
+            "limit_a": limit_a,
+            "trip_reason": self.tripped or "",
+        }
+        active = dict.fromkeys(self._latched, True) | {
+            "supply_not_responding": self._supply_log.quality(now_ns) == "no_communication",
+            "supply_switch_off_pending": self.must_switch_off,
+            "supply_current_limit": reading is not None and self._is_limited(reading),
+            "supply_deviation": deviates_s >= self._parameters.deviation_after_s,
+            "interlock_tripped": self.tripped is not None,
         }
         return tuple(
-            DriveCondition(name=name, active=active, message=message if active else NORMAL)
-            for name, (active, message) in states.items()
+            DriveCondition(name=name, active=True, message=condition["message"].format_map(values))
+            if active.get(name)
+            else DriveCondition(name=name, active=False, message=NORMAL)
+            for name, condition in CONDITIONS.items()
+            if name.startswith(("supply", "interlock"))
         )
 
     def start_window(self, n_stored: int | None = None) -> None:
@@ -435,7 +417,7 @@ class SupplyLogger:
             supply_state=self.output(),
             supply_quality=reading_log.quality(now_ns),
             supply_age_s=reading_log.age_s(now_ns),
-            supply_tripped=self._tripped,
+            supply_tripped=self.tripped,
             voltage_v=_mean(voltages_v),
             voltage_min_v=min(voltages_v, default=None),
             voltage_max_v=max(voltages_v, default=None),

@@ -22,8 +22,7 @@ from daq_service.clock import MACHINE, MachineClock
 from daq_service.corrosion_drive.channel import Connection, Message, connect
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.drive import (
-    SWITCH_OFF_BY_HAND,
-    SWITCH_OFF_PENDING,
+    CONDITIONS,
     DriveCondition,
     Reply,
     no_supply,
@@ -333,11 +332,9 @@ class RemoteDrive:
                 name="interlock_tripped", active=True, message=self._tripped
             )
         if self._pending is not None or any(request.values["do"] != "energise" for request in self._unsent):
-            conditions["supply_switch_off_pending"] = DriveCondition(
-                name="supply_switch_off_pending",
-                active=True,
-                message=f"{SWITCH_OFF_PENDING} Its process does not answer. {SWITCH_OFF_BY_HAND}",
-            )
+            name = "supply_switch_off_pending"
+            message = CONDITIONS[name]["message"].format(read_error="Its process does not answer")
+            conditions[name] = DriveCondition(name=name, active=True, message=message)
         missing_s = self._machine.mono_s() - (self._started_s if self._newest is None else self._newest_s)
         is_lost = not self._answers and (self._newest is not None or missing_s >= COMES_WITHIN_S)
         if is_lost or missing_s >= answered_within_s(self._parameters):

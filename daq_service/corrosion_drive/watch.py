@@ -14,10 +14,11 @@ from dataclasses import replace
 from daq_service.alarms.states import Condition, Moment
 from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import Catalogue
-from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, Priority
+from daq_service.catalogue.rows import AlarmRow, EnvironmentRow
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
 from daq_service.corrosion_drive.drive import (
+    CONDITIONS,
     NORMAL,
     DriveCondition,
     Reply,
@@ -34,19 +35,6 @@ from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import DueSet
 
 log = logging.getLogger(__name__)
-
-PRIORITIES: Mapping[str, Priority] = {
-    "supply_not_responding": "high",
-    "supply_off_unexpectedly": "medium",
-    "supply_on_unexpectedly": "high",
-    "supply_switch_off_pending": "critical",
-    "supply_current_limit": "medium",
-    "supply_deviation": "medium",
-    "supply_above_cap": "high",
-    "interlock_tripped": "critical",
-    "supply_watchdog_trip": "high",
-    "climate_not_responding": "low",
-}
 
 PendingReply = Callable[[], str | None]
 SupplyDrive = SupplyLogger | RemoteDrive
@@ -123,7 +111,7 @@ class DriveWatch:
                 position=None,
                 kind=drive_condition.name,
                 alarm_class="diagnostic",
-                priority=PRIORITIES[drive_condition.name],
+                priority=CONDITIONS[drive_condition.name]["priority"],
                 present=drive_condition.active,
                 message=drive_condition.message,
                 evidence=self.summary() if drive_condition.active else {},

@@ -174,7 +174,11 @@ def prepare_data_folder(folder: Path, *, may_create: bool = True) -> None:
             f"{folder} is on a network file system ({kind}), which cannot lock a catalogue; "
             "choose a local disk with --data-dir"
         )
-    _refuse_foreign_files(folder)
+    if foreign := _foreign_file(folder):
+        raise StorageError(
+            f"{folder} is not empty and is no data folder of solimon (it holds {foreign!r}); "
+            "choose a new or empty one with --data-dir"
+        )
     probe = folder / f"{WRITE_TEST}{uuid.uuid4().hex}"
     try:
         patiently(lambda: probe.write_bytes(b"solimon"))
@@ -203,15 +207,6 @@ def sweep(folder: Path) -> None:
         for pattern in (f"*{HINT_SUFFIX}", f"{WRITE_TEST}*"):
             for path in directory.glob(pattern):
                 remove_quietly(path)
-
-
-def _refuse_foreign_files(folder: Path) -> None:
-    """Raise StorageError unless the folder is empty or a data folder of solimon."""
-    if foreign := _foreign_file(folder):
-        raise StorageError(
-            f"{folder} is not empty and is no data folder of solimon (it holds {foreign!r}); "
-            "choose a new or empty one with --data-dir"
-        )
 
 
 def _foreign_file(folder: Path) -> str:

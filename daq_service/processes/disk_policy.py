@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Literal
 
@@ -75,7 +75,7 @@ def refusal(space: DiskSpace, settings: StorageSettings) -> str:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Outlook:
+class Outlook(DiskSpace):
     """Forecast of the disk space until the end of the test.
 
     Attributes
@@ -87,9 +87,6 @@ class Outlook:
         Hour of the test at which recording stops; None: the remaining sets fit, or it is unknown.
     """
 
-    free_bytes: int
-    total_bytes: int
-    level: Level
     needed_bytes: int | None = None
     full_at_h: float | None = None
 
@@ -103,7 +100,7 @@ def outlook(
 ) -> Outlook:
     """Forecast whether the remaining sets of the test fit on the disk."""
     space, newest = disk_space(folder, storage, usage=usage), catalogue.newest_recorded()
-    forecast = Outlook(free_bytes=space.free_bytes, total_bytes=space.total_bytes, level=space.level)
+    forecast = Outlook(**asdict(space))
     path = folder / ((newest and newest.file) or "")
     if not path.is_file():  # the set is still in the journal
         return forecast

@@ -88,13 +88,11 @@ class WebSettings(BaseModel):
     def names_elsewhere(self) -> frozenset[str]:
         """Return the host names of valid requests, besides those of the loopback."""
         own = {self.host} - LOOPBACK.keys()
-        return frozenset(self.host_names) | {name for name in own if not _is_any(name)}
+        return frozenset(self.host_names) | {
+            name for name in own if not ipaddress.ip_address(name).is_unspecified
+        }
 
     @property
     def has_tls(self) -> bool:
         """Return whether the service itself encrypts."""
         return bool(self.tls_certificate)
-
-
-def _is_any(address: str) -> bool:
-    return ipaddress.ip_address(address).is_unspecified

@@ -16,7 +16,7 @@ from support.small_experiment import run
 from support.stored_files import set_files
 from test_docs import ROOT, blocks
 
-from daq_service.corrosion_drive.watch import PRIORITIES
+from daq_service.corrosion_drive.drive import CONDITIONS
 from daq_service.errors import BusyError
 
 HOW_TO = ROOT / "docs/how-to"
@@ -120,7 +120,7 @@ def test_the_names_and_shapes_of_matlab_are_those_of_the_files(folder, exported)
 
 def kinds_of_alarms():
     """Return every kind of alarm of the code: of the supply by its table, others by `Condition`."""
-    found = set(PRIORITIES)
+    found = set(CONDITIONS)
     for path in (ROOT / "daq_service").rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         if "Condition(" not in text:

@@ -11,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 from daq_service.archive.journal.checking import CheckedJournal, check_journal
-from daq_service.archive.journal.frames import Buffers, aside_frame, begin_frame, missed_frame, record_frame
+from daq_service.archive.journal.frames import Buffers, aside_frame, record_frame
 from daq_service.archive.journal.reader import (
     JournaledSet,
     number_of,
@@ -30,7 +30,7 @@ from daq_service.shared_file import (
     write_all,
     write_durably,
 )
-from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot
+from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot
 
 log = logging.getLogger(__name__)
 
@@ -115,27 +115,13 @@ class Journal:
             write_durably(copy, content, temporary=copy.with_suffix(".tmp"))
         return f"{QUARANTINE_FOLDER}/{copy.name}"
 
-    def begin(
-        self, set_key: SetKey, *, due_utc_ns: int, started_utc_ns: int, disabled: Mapping[str, str]
-    ) -> None:
-        """Add the start of a set; durable with the next sync."""
-        frame = begin_frame(set_key, due_utc_ns=due_utc_ns, started_utc_ns=started_utc_ns, disabled=disabled)
-        self._add(set_key, frame)
-
     def append(self, record: Shot | PulseEchoRecord) -> None:
         """Add a record; acknowledged by the next sync."""
-        self._add(record.key.set_key, record_frame(record))
+        self.add(record.key.set_key, record_frame(record))
         self._unacknowledged.append(record.sequence)
 
-    def append_missed(self, missed: MissedShot, utc_ns: int) -> None:
-        """Add a strike or echo that left no record."""
-        self._add(missed.key.set_key, missed_frame(missed, utc_ns))
-
-    def end(self, set_key: SetKey, frame: Buffers) -> None:
-        """Add the end of a complete set (`frames.end_frame`); durable with the next sync."""
-        self._add(set_key, frame)
-
-    def _add(self, set_key: SetKey, frame: Buffers) -> None:
+    def add(self, set_key: SetKey, frame: Buffers) -> None:
+        """Add a frame of a set (`frames`); durable with the next sync."""
         self._pending.append(frame)
         self._pending_sets.add(set_key)
 
@@ -150,7 +136,7 @@ class Journal:
         item = read_journal(self._folder, of_set=set_key)[set_key]
         for number in item.segments:
             self._copy_aside(number, f"{name}.{number:06d}.journal")
-        self._add(set_key, aside_frame(set_key))
+        self.add(set_key, aside_frame(set_key))
         self.sync()
         self.settle(set_key)
 

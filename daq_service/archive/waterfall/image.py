@@ -145,7 +145,9 @@ class WaterfallReader:
         """
         row_sets = sets_per_step(wanted.first, wanted.last, wanted.rows)
         frame = _columns_of(tiles.frame, wanted, may_be_finer=reference is None and row_sets == 1)
-        reading = _Reading(self, _with_frame(tiles, frame), index)
+        if frame.width < tiles.frame.width:  # finer cells are computed from records, not stored
+            tiles = replace(tiles, frame=frame)
+        reading = _Reading(self, tiles, index)
         width = max(width for width in WIDTHS if width <= row_sets)
         rows_by_number: dict[int, list[TileRow]] = {}
         for row in reading.rows(width, range(wanted.first // width, wanted.last // width + 1)):
@@ -268,8 +270,3 @@ def _columns_of(frame: Frame, wanted: Wanted, *, may_be_finer: bool) -> Frame:
     while (part := frame.part(wanted.from_s, wanted.to_s, width)).n_cells > max(2, wanted.columns):
         width *= 2
     return part
-
-
-def _with_frame(tiles: Tiles, frame: Frame) -> Tiles:
-    """Return tiles with finer cells if they are requested: these are computed from records, not stored."""
-    return replace(tiles, frame=frame) if frame.width < tiles.frame.width else tiles

@@ -218,11 +218,8 @@ def trial_message(test: Test, receiver: str, author: str, *, now_ns: int) -> Mes
 
 
 def _headline(item: AlarmChange) -> str:
-    return f"{item.priority.upper()} {item.kind}{_position_text(item)} {_CHANGE_TEXTS[item.change]}"
-
-
-def _position_text(item: AlarmChange) -> str:
-    return f" at {item.position}" if item.position else ""
+    at = f" at {item.position}" if item.position else ""
+    return f"{item.priority.upper()} {item.kind}{at} {_CHANGE_TEXTS[item.change]}"
 
 
 def _counts_text(changes: Sequence[AlarmChange]) -> str:

@@ -9,7 +9,7 @@ from daq_service.alarms.clock_trouble import CLOCK_UNVERIFIED
 from daq_service.alarms.guidance import GUIDANCE, as_markdown
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, WEB_NOT_RESPONDING
 from daq_service.alarms.states import NOT_ASSESSED
-from daq_service.corrosion_drive.watch import PRIORITIES
+from daq_service.corrosion_drive.drive import CONDITIONS
 
 ROOT = Path(__file__).parents[4]
 HOW_TO = ROOT / "docs" / "how-to" / "my-alarm-what-now.md"
@@ -28,7 +28,7 @@ def test_every_raised_kind_has_guidance():
                 r"Condition\((.*?)present=", file.read_text("utf-8"), flags=re.DOTALL
             ):
                 kinds |= set(re.findall(r'kind="(\w+)"', condition))
-    kinds |= PRIORITIES.keys()
+    kinds |= CONDITIONS.keys()
     assert len(kinds) > 8
     assert kinds <= GUIDANCE.keys()
 

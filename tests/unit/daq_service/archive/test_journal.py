@@ -42,7 +42,7 @@ def test_positions_that_an_earlier_version_left_out_are_restored(archive, tmp_pa
         facts = {"due_utc_ns": due_utc_ns, "retired": disabled}
         return frames._frame(frames.Kind.BEGIN, set_key, facts, utc_ns=started_utc_ns)
 
-    monkeypatch.setattr("daq_service.archive.journal.writer.begin_frame", earlier_frame)
+    monkeypatch.setattr("daq_service.archive.writer.begin_frame", earlier_frame)
     archive.begin_set(SetKey(7), due_utc_ns=5, started_utc_ns=1, disabled={"C": "worn"})
     archive.sync()
     with closing(FolderArchive(tmp_path)) as reopened:
