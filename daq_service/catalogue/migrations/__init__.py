@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from sqlalchemy import Engine, insert, text
+from sqlalchemy import Engine, text
 
 from daq_service.catalogue.errors import SchemaVersionError
 from daq_service.catalogue.rows import CountsRow
-from daq_service.catalogue.stored_rows import seal_unsealed, storable, writing
-from daq_service.catalogue.tables import counts, metadata
+from daq_service.catalogue.stored_rows import insert_rows, seal_unsealed, writing
+from daq_service.catalogue.tables import metadata
 from daq_service.catalogue.trends import rebuild_trends
 
 SCHEMA_REVISION = max(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
@@ -43,7 +43,7 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
             connection.execute(text(_VERSION_TABLE))
             version = text("INSERT INTO alembic_version VALUES (:revision)")
             connection.execute(version, {"revision": SCHEMA_REVISION})
-            connection.execute(insert(counts), storable(CountsRow()))
+            insert_rows(connection, [CountsRow()])
         return
     # Alembic takes half a second to import: only a folder of an earlier version needs it.
     from alembic import command
