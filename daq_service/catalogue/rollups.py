@@ -12,7 +12,7 @@ import logging
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import Any, TypeVar, get_args
+from typing import TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -115,7 +115,7 @@ def of_sets(kind: type[Row], position: object, first: object, last: object) -> C
     return of_sets & table.c.shot_index.is_(None) if kind is FeatureRow else of_sets
 
 
-_RANGE: tuple[BindParameter[Any], ...] = bindparam("of_position"), bindparam("first"), bindparam("last")
+_RANGE: tuple[BindParameter[object], ...] = bindparam("of_position"), bindparam("first"), bindparam("last")
 _OF_RANGE: dict[type[Row], Prepared] = {
     kind: prepared(select(TABLES[kind]).where(of_sets(kind, *_RANGE)).order_by(TABLES[kind].c.set_index))
     for kind in (SetRow, AssessmentRow, *MEASURED_BY.values())

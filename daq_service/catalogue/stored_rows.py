@@ -95,7 +95,7 @@ class Prepared:
     """A statement in the driver's words: SQLAlchemy's part of an execution is several times SQLite's own."""
 
     text: str
-    parameters: tuple[tuple[str, Any], ...]
+    parameters: tuple[tuple[str, object], ...]
     """Name and value of each parameter; a missing value is None."""
 
     def execute(self, connection: Connection, **given: object) -> sqlite3.Cursor:
@@ -140,7 +140,7 @@ def _stored(row: Row, new_id: int | None = None) -> list[Any]:
     """Return the values of a row for the driver, the checksum last: NaN and infinities are NULL."""
     kind = type(row)
     stored: list[Any] = []
-    columns: dict[str, Any] = {}
+    columns: dict[str, object] = {}
     for (name, of_type), given in zip(_TYPES[kind], _VALUES[kind](row), strict=True):
         value: Any = new_id if given is None and not stored else given
         if value is None:
@@ -164,7 +164,7 @@ def _stored(row: Row, new_id: int | None = None) -> list[Any]:
     return stored
 
 
-def _crc32(columns: dict[str, Any]) -> int:
+def _crc32(columns: dict[str, object]) -> int:
     """Return the checksum of the columns that are not None."""
     for name in _SCHEDULED:
         if columns.get(name) == 0:
