@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,8 +176,28 @@ class SetKey(NamedTuple):
         return cls(set_index, unscheduled_index)
 
 
+class OfSet:
+    """Base of everything that belongs to one set.
+
+    Attributes
+    ----------
+    set_index, unscheduled_index
+        Index of the scheduled set, and number of the unscheduled set after it (0: none).
+    """
+
+    __slots__ = ()
+    if TYPE_CHECKING:  # the fields are those of the dataclasses
+        set_index: int
+        unscheduled_index: int
+
+    @property
+    def set_key(self) -> SetKey:
+        """Return the key of the set."""
+        return SetKey(self.set_index, self.unscheduled_index)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DueSet:
+class DueSet(OfSet):
     """One scheduled set of every position, or one unscheduled set.
 
     Attributes
@@ -192,14 +212,9 @@ class DueSet:
     position: str | None = None
     unscheduled_index: int = 0
 
-    @property
-    def set_key(self) -> SetKey:
-        """Return the key of the set."""
-        return SetKey(self.set_index, self.unscheduled_index)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShotKey:
+class ShotKey(OfSet):
     """Key of a shot in a rig, and of the twin's random numbers."""
 
     position: str
@@ -212,11 +227,6 @@ class ShotKey:
         for name in ("set_index", "shot_index", "attempt", "unscheduled_index"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must not be negative")
-
-    @property
-    def set_key(self) -> SetKey:
-        """Return the key of its set."""
-        return SetKey(self.set_index, self.unscheduled_index)
 
     @classmethod
     def in_set(cls, set_key: SetKey, position: str, shot_index: int, attempt: int = 0) -> ShotKey:

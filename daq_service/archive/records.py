@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Any, NewType
 
 from daq_service.clock import parse_utc
-from hardware_drivers.measurement import DueSet, MissedShot, PulseEchoRecord, SetKey, Shot, Waveform
+from hardware_drivers.measurement import DueSet, MissedShot, OfSet, PulseEchoRecord, SetKey, Shot, Waveform
 from hardware_drivers.nanoseconds import NS_PER_S
 
 SETS_FOLDER = "sets"
@@ -54,7 +54,7 @@ class PositionRecord:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SetRecord:
+class SetRecord(OfSet):
     """All measurements of one due time.
 
     Attributes
@@ -121,11 +121,6 @@ class SetRecord:
                 )
         if len({record.sequence for record in records}) != len(records):
             raise ValueError(f"set {self.set_key} has a sequence twice; each record needs its own")
-
-    @property
-    def set_key(self) -> SetKey:
-        """Return the key of the set."""
-        return SetKey(self.set_index, self.unscheduled_index)
 
     @property
     def due(self) -> DueSet:
