@@ -108,6 +108,23 @@ class SetCommit:
     order: CommandRow | None = None
     states: dict[str, AssessorStateRow] = field(default_factory=dict)
 
+    def add_alarm(self, row: AlarmRow, event: EventRow) -> None:
+        """Add a new or changed alarm with its event, which contains the row."""
+        self.alarm_of_event[len(self.events)] = len(self.alarms)
+        self.alarms.append(row)
+        self.events.append(replace(event, payload=event.payload | payload_of(row, last="id")))
+
+    def add_annotation(self, row: AnnotationRow, event: EventRow) -> None:
+        """Add a new or changed annotation with its event, which contains the row."""
+        self.annotation_of_event[len(self.events)] = len(self.annotations)
+        self.annotations.append(row)
+        self.events.append(replace(event, payload=payload_of(row, last="id")))
+
+    def add_baseline(self, row: BaselineRow, event: EventRow, *, last: str = "") -> None:
+        """Add a new or changed baseline with its event, which contains the row; ``last`` is its last column."""
+        self.baselines.append(row)
+        self.events.append(replace(event, payload=payload_of(row, last=last)))
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Committed:

@@ -14,8 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import CommandRow, CommandState
 from daq_service.commands.deadline import expired_reason, remaining_now_s, with_expiry
 from daq_service.commands.kinds import Command, Facts
@@ -118,7 +117,7 @@ class CommandExecutor:
         current_row = with_expiry(replace(row, state="pending"), self._left_s(row))
         if current_row.state == "expired":
             return "expired", current_row.result or ""
-        transactions: list[Transaction] = []
+        transactions: list[SetCommit] = []
         self._adopt()
         try:
             order = parse_command(row.kind, row.author, row.arguments)

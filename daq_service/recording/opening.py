@@ -11,8 +11,7 @@ from dataclasses import dataclass
 
 from daq_service.alarms.rig_trouble import opening_condition
 from daq_service.alarms.states import Change, Condition, Moment, update
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.errors import PASSING, BusyError, RigError
@@ -93,8 +92,8 @@ class OpeningAlarm:
             return None
         change = update(row, condition, moment)
         if change is not None:
-            transaction = Transaction()
-            transaction.add_alarm(change, moment)
+            transaction = SetCommit()
+            transaction.add_alarm(change.row, change.event(moment))
             self._catalogue.commit_set(transaction)
             self._history.follow(now=True)
         return change

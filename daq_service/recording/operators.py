@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict
 from functools import partial
 
-from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AnnotationRow
 from daq_service.commands.execution import CommandExecutor
 from daq_service.commands.running_test import RunningTest
@@ -44,7 +44,7 @@ def command_executor(resources: Resources, assessor: SetAssessor, waiting: Waiti
 
 def _request_set(
     resources: Resources, assessor: SetAssessor, waiting: Waiting, position: str, author: str, note: str
-) -> Transaction:
+) -> SetCommit:
     """Request an unscheduled set by a person's command; it is taken when the line is free.
 
     Raises

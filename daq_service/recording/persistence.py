@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from daq_service.archive import SetRecord, StoredSet
-from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import SetCommit
 from daq_service.errors import PASSING
 from daq_service.recording.resources import Resources
 from hardware_drivers.measurement import SetKey
@@ -118,10 +118,10 @@ class Persistence:
             self.run_all()
 
     def post(
-        self, build: Callable[[], Transaction], *then: Callable[[Transaction], None], n_bytes: int = 0
+        self, build: Callable[[], SetCommit], *then: Callable[[SetCommit], None], n_bytes: int = 0
     ) -> None:
         """Build a transaction once and pass it on, in order; repeat the latter until the disk takes it."""
-        built: list[Transaction] = []
+        built: list[SetCommit] = []
 
         def job() -> None:
             if not built:

@@ -17,7 +17,7 @@ from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.shot_features import features_of
 from daq_service.alarms.states import Moment
 from daq_service.archive import SetRecord
-from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import SetCommit
 from daq_service.errors import RigError, StorageError
 from daq_service.recording.acquire_set import FeaturesOf, SetAcquisition, TakenSet
 from daq_service.recording.carried_over import CarriedOver
@@ -171,7 +171,7 @@ class Recorder:
         record: SetRecord,
         features: Mapping[int, ShotFeatures],
         load: Mapping[str, Any] | None,
-    ) -> Transaction:
+    ) -> SetCommit:
         """Write the set durably, then assess it; return rows, alarms and events as one transaction."""
         stored = self._persistence.store(record)
         self._cost.add_set(asdict(stored.timings))
@@ -180,15 +180,15 @@ class Recorder:
             transaction = self._set_assessor.assessed(due, record, stored.file, features)
         if load is not None and due.position is None:
             moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, **due.set_key._asdict())
-            transaction.add_event(MACHINE_READ, load, moment, topic="machine")
+            transaction.events.append(moment.event("machine", MACHINE_READ, load))
         return transaction
 
-    def commit(self, transaction: Transaction) -> None:
+    def commit(self, transaction: SetCommit) -> None:
         """Store the rows, alarms and events of a set in one transaction."""
         with self._cost.of("commit_s"):
             self._set_assessor.store(transaction)
 
-    def publish(self, due: DueSet, transaction: Transaction) -> None:
+    def publish(self, due: DueSet, transaction: SetCommit) -> None:
         """Report alarms and gaps, and have the set get its file."""
         self._set_assessor.publish(transaction)
         self._persistence.after_set(due.set_key)
