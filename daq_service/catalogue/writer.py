@@ -121,7 +121,7 @@ class SetCommit:
         self.events.append(replace(event, payload=payload_of(row, last="id")))
 
     def add_baseline(self, row: BaselineRow, event: EventRow, *, last: str = "") -> None:
-        """Add a new or changed baseline with its event, which contains the row; ``last`` is its last column."""
+        """Add a new or changed baseline with its event, which contains the row: ``last`` as last column."""
         self.baselines.append(row)
         self.events.append(replace(event, payload=payload_of(row, last=last)))
 
