@@ -26,6 +26,7 @@ from types import MappingProxyType
 from typing import Any
 
 from daq_service.catalogue.rows import AlarmClass, AlarmRow, AlarmState, EventRow, Priority
+from hardware_drivers.measurement import DueSet
 
 PRIORITIES: tuple[Priority, ...] = ("low", "medium", "high", "critical")
 SUPPRESSION = (
@@ -95,6 +96,16 @@ class Moment:
     due_h: float
     set_index: int | None
     unscheduled_index: int = 0
+
+    @classmethod
+    def of_set(cls, due: DueSet, utc_ns: int) -> Moment:
+        """Return a moment that belongs to a set."""
+        return cls(
+            utc_ns=utc_ns,
+            due_h=due.due_h,
+            set_index=due.set_index,
+            unscheduled_index=due.unscheduled_index,
+        )
 
     def event(
         self, topic: str, kind: str, payload: Mapping[str, Any], *, position: str | None = None

@@ -81,6 +81,13 @@ class CommandExecutor:
             answer = FAILED if is_unknown else ("expired", expired_reason(reason))
             self._finish(row, self._answers.get(row.id, answer))
 
+    def leave(self) -> None:
+        """Answer commands that were not started: this recorder does not execute them."""
+        try:
+            self.close("the recorder has ended")
+        except (StorageError, OSError) as error:
+            log.warning("open orders are not answered; the next recorder does it: %s", error)
+
     def listen(self) -> None:
         """Execute the waiting commands; a rejected one is answered with the reason."""
         self.begin()

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -116,6 +117,14 @@ class Persistence:
         self._n_bytes += n_bytes
         if self.trouble is None:
             self.run_all()
+
+    def attempt(self, job: Callable[[], None]) -> None:
+        """Do something that the disk may refuse: then it waits for the disk, or is tried at the next look."""
+        if self.trouble is None:
+            self.do(job)
+        else:
+            with suppress(*PASSING):  # the trouble is reported; a pause takes effect once it is readable
+                job()
 
     def post(
         self, build: Callable[[], SetCommit], *then: Callable[[SetCommit], None], n_bytes: int = 0

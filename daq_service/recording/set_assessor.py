@@ -143,7 +143,7 @@ class SetAssessor:
         file, sha256
             Where the record lies, and the SHA-256 of the file if it is made.
         """
-        moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, **due.set_key._asdict())
+        moment = Moment.of_set(due, record.ended_utc_ns)
         reasons = {position.position: position.cause for position in record.positions}
         disabled = self.disabled()
         transaction = SetCommit()
@@ -213,20 +213,6 @@ class SetAssessor:
     def positions_of(self, due: DueSet) -> list[str]:
         """Return the positions of a set."""
         return list(self._settings.positions) if due.position is None else [due.position]
-
-    def order_confirmation(
-        self, planned: DueSet, position: str, author: str, note: str, moment: Moment
-    ) -> SetCommit:
-        """Request a confirmation set after a planned one by a person's command; to be committed.
-
-        Raises
-        ------
-        ValueError
-            It cannot be taken, and why.
-        """
-        if reason := self.assessors[position].not_assessed_reason:
-            raise ValueError(f"{position} has nothing to compare a set with: {reason}")
-        return self.confirmations.order(planned, position, author, note, moment)
 
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
         """Store what becomes of an alarm that belongs to no set."""
