@@ -183,8 +183,8 @@ def _results(
 ) -> Results:
     """Build results of records; their size does not depend on the values."""
     from daq_service.assessment.results_in_file import results_of
-    from daq_service.assessment.transaction import shot_row
     from daq_service.catalogue.rows import FeatureRow, ThicknessRow
+    from daq_service.recording.set_assessor import shot_row
 
     common: dict[str, Any] = {"set_index": 0, "due_h": 0.5, "extractor_version": "1.1", "quality": "good"}
     features = [
