@@ -7,13 +7,14 @@ the structure alone, so the same content gives the same bytes whatever was made 
 
 from __future__ import annotations
 
+import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
 import orjson
-from h5py import h5d, h5g
+from h5py import h5d, h5f, h5g, h5o
 
 from daq_service.archive import nexus
 from daq_service.archive.nexus import Attribute
@@ -102,19 +103,18 @@ def add_field(
 
 def image_of_draft(root: Node) -> bytes:
     """Return the bytes of the file."""
-    structure = orjson.dumps([node.structure for node in root.draft], option=orjson.OPT_SERIALIZE_NUMPY)
-    file = nexus.opened_image(_skeleton(_Structure(structure, root.draft)), is_own=True, writable=True)
+    key = orjson.dumps([node.structure for node in root.draft], option=orjson.OPT_SERIALIZE_NUMPY)
+    file = nexus.opened_image(
+        _skeleton(_Structure(key, root.draft)).filled(root.draft), is_own=True, writable=True
+    )
     try:
-        groups: dict[str, h5g.GroupID] = {}
         for node in root.draft:
-            if node.link:
+            chunk = node.stored and nexus.chunk_of(node.stored[0], node.chunk)
+            if not (chunk or node.own_attributes):
                 continue
-            parent, _, name = node.path.rpartition("/")
-            if node.stored is None:
-                target = groups[node.path] = h5g.open(file, node.path.encode() or b"/")
-            else:
-                target = h5d.open(groups[parent], name.encode())
-                nexus.fill_field(target, node.stored, node.chunk)
+            target = h5o.open(file, node.path.encode() or b"/")
+            if chunk and node.stored:
+                nexus.fill_field(target, node.stored, chunk)
             nexus.set_attributes(target, node.own_attributes)
         return nexus.image_of(file)
     finally:
@@ -127,9 +127,29 @@ class _Structure:
     draft: Sequence[Node] = field(compare=False)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Skeleton:
+    """Open file with everything but large arrays and own attributes.
+
+    Its small datasets stay open: their values lie in their object headers, whose place never changes.
+    """
+
+    file: h5f.FileID
+    small: Mapping[str, h5d.DatasetID]
+    lock: threading.Lock
+
+    def filled(self, draft: Sequence[Node]) -> bytes:
+        """Return the bytes of the file with the values of the small datasets."""
+        with self.lock:
+            for node in draft:
+                if node.path in self.small and node.stored is not None:
+                    nexus.fill_field(self.small[node.path], node.stored, node.chunk)
+            return nexus.image_of(self.file)
+
+
 @lru_cache(maxsize=_SKELETONS)
-def _skeleton(structure: _Structure) -> bytes:
-    """Return the bytes of a file without values."""
+def _skeleton(structure: _Structure) -> _Skeleton:
+    """Create the skeleton of a structure."""
     with nexus.image_file() as file:
         made: dict[str, h5g.GroupID | h5d.DatasetID] = {"": nexus.open_root(file)}
         nexus.set_attributes(made[""], structure.draft[0].attributes)
@@ -144,4 +164,11 @@ def _skeleton(structure: _Structure) -> bytes:
                 made[node.path] = nexus.create_field(
                     made[parent], name, node.stored, node.chunk, axes, node.is_axis, node.attributes
                 )
-        return nexus.image_of(file)
+        image = nexus.image_of(file)
+    file = nexus.opened_image(image, is_own=True, writable=True)
+    small = {
+        node.path: h5d.open(file, node.path.encode())
+        for node in structure.draft
+        if node.stored is not None and nexus.chunk_of(node.stored[0], node.chunk) is None
+    }
+    return _Skeleton(file, small, threading.Lock())

@@ -7,8 +7,8 @@
       instrument/<group>      NXdetector: sample rate, range, calibration polynomial (the truth)
       <position>_waveforms    NXdata: waveform[shot, sample] in counts, time, shot_time, shot_id
       <position>_pulse_echo   NXdata: the same with record[shot, sample], gain, offset, averages
-      <position>_truth        NXcollection: true values of each record of a simulated rig
-      <position>_settings     NXcollection: instrument settings of each record
+      truth                   NXcollection: true values of each record of a simulated rig (absent: none)
+      settings                NXcollection: instrument settings of each record (absent: none)
       shots                   NXcollection: one row a record: key, stamps, checksum, flags, outcome
       missed                  NXcollection: strikes and echoes without a record (absent: none)
       positions               NXcollection: planned records, and why some are missing
@@ -42,7 +42,7 @@ from hardware_drivers.measurement import PulseEchoRecord, SetRecord, Shot, Wavef
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.units import unit_of
 
-FORMAT_VERSION = "1.6"
+FORMAT_VERSION = "1.7"
 """Raised in its first number when an older reader would misunderstand the file."""
 RESULTS = {"features": "shot_id", "set_features": "position", "thickness": "position"}
 """Tables of a set's results, each with its key column."""
@@ -277,27 +277,23 @@ def _add_time_axis(
 
 
 def _add_facts_of_records(entry: Node, record: SetRecord, kind: Literal["truth", "settings"]) -> None:
-    """Add a group per position with a column per fact; ``known`` marks the records that have it."""
-    for position in record.positions:
-        records = [shot for shot in record.records if shot.key.position == position.position]
-        facts: list[Mapping[str, float | str]] = [getattr(shot, kind) for shot in records]
-        names = sorted(set().union(*facts)) if facts else []
-        if not names:
-            continue
-        group = add_group(
-            entry, f"{position.position}_{kind}", "NXcollection", {"position": position.position}
-        )
-        axis = add_field(group, "shot_id", _int64(shot.sequence for shot in records), is_axis=True)
-        for name in names:
-            values = [fact.get(name) for fact in facts]
-            if str in map(type, values):
-                texts = ["" if value is None else str(value) for value in values]
-                field = add_field(group, name, texts, axes=[axis])
-            else:
-                numbers = np.array(values, dtype=np.float64)  # None becomes NaN
-                field = add_field(group, name, numbers, axes=[axis], units=unit_of(name))
-            if None in values:
-                field.attributes["known"] = np.array([value is not None for value in values], dtype=np.uint8)
+    """Add a table with a row per record and a column per fact; ``known`` marks the records that have it."""
+    facts: list[Mapping[str, float | str]] = [getattr(shot, kind) for shot in record.records]
+    names = sorted(set().union(*facts))
+    if not names:
+        return
+    group = add_group(entry, kind, "NXcollection")
+    axis = add_field(group, "shot_id", _int64(shot.sequence for shot in record.records), is_axis=True)
+    for name in names:
+        values = [fact.get(name) for fact in facts]
+        if str in map(type, values):
+            texts = ["" if value is None else str(value) for value in values]
+            field = add_field(group, name, texts, axes=[axis])
+        else:
+            numbers = np.array(values, dtype=np.float64)  # None becomes NaN
+            field = add_field(group, name, numbers, axes=[axis], units=unit_of(name))
+        if None in values:
+            field.attributes["known"] = np.array([value is not None for value in values], dtype=np.uint8)
 
 
 def _add_missed(entry: Node, record: SetRecord) -> None:

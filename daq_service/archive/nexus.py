@@ -31,6 +31,8 @@ from daq_service.archive.plain import require_plain
 
 _LARGEST_COMPACT_BYTES = 8192
 """Small arrays are in their object header: faster than a chunk, and shorter than its index."""
+_TEXT_STEP_BYTES = 16
+"""Texts end with zeros up to a multiple of it, so that few structures occur (`daq_service.archive.draft`)."""
 _BLOCK_BYTES = 1 << 20
 _TEXT = h5py.string_dtype()
 _AS_STORED = ("<", "|")
@@ -186,7 +188,7 @@ def create_field(
 ) -> h5d.DatasetID:
     """Add a dataset as `add_field` does, but without its values."""
     array, data_type = stored
-    chunk = _chunk_of(array, chunk)
+    chunk = chunk_of(array, chunk)
     properties = _compact_properties() if chunk is None else _chunked_properties(chunk)
     dataset = h5d.create(parent, name.encode(), data_type, _space(array.shape), dcpl=properties)
     if array.dtype.kind == "S":
@@ -203,14 +205,14 @@ def create_field(
 def fill_field(dataset: h5d.DatasetID, stored: Stored, chunk: tuple[int, ...] | None) -> None:
     """Write all values of a dataset."""
     array, data_type = stored
-    chunk = _chunk_of(array, chunk)
+    chunk = chunk_of(array, chunk)
     if chunk is None:
         dataset.write(h5s.ALL, h5s.ALL, array, mtype=data_type)
     else:
         write_chunks(dataset, array, chunk)
 
 
-def _chunk_of(array: NDArray[Any], chunk: tuple[int, ...] | None) -> tuple[int, ...] | None:
+def chunk_of(array: NDArray[Any], chunk: tuple[int, ...] | None) -> tuple[int, ...] | None:
     """Return the chunk of an array, by default all of a large one; None if it is stored compact."""
     return array.shape if chunk is None and array.nbytes > _LARGEST_COMPACT_BYTES and array.ndim else chunk
 
@@ -258,10 +260,7 @@ def to_stored_form(values: object) -> Stored:
     if isinstance(values, str):
         return _stored_text(values)
     if isinstance(values, Sequence) and all(isinstance(v, str) for v in values):
-        array = np.array([text.encode() for text in values], dtype=np.bytes_)
-        if array.itemsize < 2:
-            array = array.astype("S2")  # netCDF readers take S1 for letters of one text
-        return array, _text_type(array.itemsize)
+        return _texts([text.encode() for text in values])
     array = np.asarray(values)
     if not (array.dtype.str.startswith(_AS_STORED) and array.flags.c_contiguous):
         array = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<")).reshape(array.shape)
@@ -271,8 +270,14 @@ def to_stored_form(values: object) -> Stored:
 @lru_cache(maxsize=1024)
 def _stored_text(text: str) -> Stored:
     """Return array and HDF5 type of a text; cached, since units and names repeat in every set."""
-    array = np.array(text.encode(), dtype=np.bytes_)
-    return array, _text_type(array.itemsize)
+    return _texts(text.encode())
+
+
+def _texts(values: bytes | list[bytes]) -> Stored:
+    """Return array and HDF5 type of encoded texts."""
+    length = len(values) if isinstance(values, bytes) else max(map(len, values), default=0)
+    n_bytes = (length // _TEXT_STEP_BYTES + 1) * _TEXT_STEP_BYTES
+    return np.array(values, dtype=f"S{n_bytes}"), _text_type(n_bytes)
 
 
 @lru_cache(maxsize=256)
@@ -281,7 +286,7 @@ def _text_type(n_bytes: int) -> h5t.TypeID:
     data_type = h5t.C_S1.copy()
     data_type.set_size(n_bytes)
     data_type.set_cset(h5t.CSET_UTF8)
-    data_type.set_strpad(h5t.STR_NULLPAD)
+    data_type.set_strpad(h5t.STR_NULLTERM)
     return data_type
 
 

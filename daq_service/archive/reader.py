@@ -471,7 +471,8 @@ def _read_facts(entry: h5py.Group, kind: str) -> dict[int, dict[str, Any]]:
     """Read the truth or settings of each record by sequence."""
     facts: dict[int, dict[str, Any]] = {}
     for group_name in entry:
-        if not group_name.endswith(f"_{kind}"):
+        # Up to format 1.6 each position has a group of its own.
+        if group_name != kind and not group_name.endswith(f"_{kind}"):
             continue
         group = entry[group_name]
         sequences = read_field(group.id, "shot_id").tolist()

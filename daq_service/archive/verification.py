@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import logging
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,6 +22,7 @@ from hardware_drivers.measurement import SetRecord
 
 log = logging.getLogger(__name__)
 
+_FACTS_OF_POSITION = re.compile(r"entry/[^/@]+_(truth|settings)(/|$)")
 _PREVIEW_TOLERANCE = 1e-6
 """Relative to the largest value: a mean summed in another order, as 32-bit floats."""
 
@@ -157,6 +159,8 @@ def _agree(name: str, stored: Mapping[str, Any], expected: Mapping[str, Any], *,
     """Return whether a stored and an expected value agree."""
     if not same_format and "@" in name and (name not in expected or str(stored.get(name)) == ""):
         return True  # a label that is not written any more, or was left empty
+    if not same_format and name not in expected and _FACTS_OF_POSITION.match(name):
+        return True  # up to format 1.6; its values are in the rebuilt tables, and headers have checksums
     if name not in stored or name not in expected:
         return False
     value, wanted = stored[name], expected[name]

@@ -139,6 +139,6 @@ def read_audit(
     return [(number, _entry(row)) for number, row in lines], before
 
 
-def _entry(row: Mapping[str, Any]) -> AuditEntry:
+def _entry(row: Mapping[str, object]) -> AuditEntry:
     """Return the entry of a line of any version."""
     return AuditEntry(**current_row(TABLE, row))

@@ -7,8 +7,9 @@ and none is fitted to the paper's numbers. A changed size is another `TWIN_VERSI
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
-from types import MappingProxyType
+from pathlib import Path
 from typing import Annotated, Literal
 
 from annotated_types import Ge, Gt, Le
@@ -138,104 +139,12 @@ class NuisanceParameters:
         check_pair(self, "longest_process_h", "at least", "shortest_process_h", " h")
 
 
-def _source(
-    memory: float, set_sd: float, shot_sd: float, wander_sd: float, reseat_sd: float
-) -> SourceParameters:
-    return SourceParameters(
-        memory=memory, set_sd=set_sd, shot_sd=shot_sd, wander_sd=wander_sd, reseat_sd=reseat_sd
+_FILE = Path(__file__).with_suffix(".toml")
+
+NUISANCE: Mapping[str, NuisanceParameters] = {
+    name: NuisanceParameters(
+        **sizes | {key: SourceParameters(**size) for key, size in sizes.items() if isinstance(size, dict)}
     )
-
-
-# A source's numbers are memory, SD of set, shot, wander and re-seat.
-LABORATORY = NuisanceParameters(
-    contact_stiffness=_source(0.3, 0.008, 0.020, 0.004, 0.020),
-    contact_damping=_source(0.3, 0.08, 0.15, 0.04, 0.15),
-    plate_stiffness=_source(0.3, 0.015, 0.030, 0.008, 0.040),
-    plate_damping=_source(0.3, 0.08, 0.15, 0.05, 0.20),
-    bead_radius=_source(0.0, 0.0, 0.010, 0.0, 0.010),
-    rubbing=_source(0.3, 0.05, 0.05, 0.03, 0.10),
-    drop_height=_source(0.3, 0.010, 0.010, 0.005, 0.010),
-    tilt_rad=_source(0.3, 0.0010, 0.0010, 0.0005, 0.0020),
-    gain=_source(0.3, 0.005, 0.003, 0.005, 0.010),
-    tail_dof=8.0,
-    reseats_per_1000_h=0.5,
-    rogue_probability=0.003,
-    season_amplitude_k=1.0,
-    friction_per_k=-1e-3,
-    liquid_loss_fraction=0.1,
-    wear_per_1000_h=0.002,
-    friction_per_1000_h=0.005,
-    ageing_per_decade=0.01,
-    scatter_growth_per_1000_h=0.05,
-    noisy_hour_probability=0.02,
-    burst_probability=0.1,
-    knock_probability=0.002,
-)
-"""People at work beside a rig that is looked after."""
-
-WORKSHOP = NuisanceParameters(
-    contact_stiffness=_source(0.5, 0.016, 0.030, 0.010, 0.040),
-    contact_damping=_source(0.5, 0.15, 0.25, 0.10, 0.25),
-    plate_stiffness=_source(0.5, 0.030, 0.050, 0.020, 0.080),
-    plate_damping=_source(0.5, 0.15, 0.25, 0.10, 0.30),
-    bead_radius=_source(0.0, 0.0, 0.015, 0.0, 0.015),
-    rubbing=_source(0.5, 0.10, 0.10, 0.05, 0.15),
-    drop_height=_source(0.5, 0.020, 0.020, 0.010, 0.020),
-    tilt_rad=_source(0.5, 0.0020, 0.0015, 0.0010, 0.0040),
-    gain=_source(0.5, 0.010, 0.005, 0.010, 0.020),
-    tail_dof=6.0,
-    reseats_per_1000_h=1.5,
-    rogue_probability=0.01,
-    day_amplitude_k=3.0,
-    season_amplitude_k=6.0,
-    process_sd_k=1.0,
-    friction_per_k=-1e-3,
-    liquid_loss_fraction=0.2,
-    wear_per_1000_h=0.004,
-    friction_per_1000_h=0.010,
-    ageing_per_decade=0.015,
-    scatter_growth_per_1000_h=0.10,
-    noisy_hour_probability=0.10,
-    noisy_factor=3.0,
-    burst_probability=0.2,
-    burst_v=0.2,
-    knock_probability=0.01,
-    knock_v=0.2,
-)
-"""A hall with machines and without air conditioning."""
-
-PLANT = NuisanceParameters(
-    contact_stiffness=_source(0.7, 0.025, 0.040, 0.020, 0.060),
-    contact_damping=_source(0.7, 0.25, 0.35, 0.20, 0.35),
-    plate_stiffness=_source(0.7, 0.050, 0.080, 0.040, 0.120),
-    plate_damping=_source(0.7, 0.25, 0.35, 0.20, 0.40),
-    bead_radius=_source(0.0, 0.0, 0.020, 0.0, 0.020),
-    rubbing=_source(0.7, 0.15, 0.15, 0.10, 0.20),
-    drop_height=_source(0.7, 0.030, 0.030, 0.020, 0.030),
-    tilt_rad=_source(0.7, 0.0030, 0.0020, 0.0020, 0.0060),
-    gain=_source(0.7, 0.015, 0.008, 0.020, 0.030),
-    tail_dof=5.0,
-    reseats_per_1000_h=3.0,
-    rogue_probability=0.02,
-    day_amplitude_k=5.0,
-    season_amplitude_k=12.0,
-    process_sd_k=5.0,
-    friction_per_k=-2e-3,
-    liquid_loss_fraction=0.3,
-    wear_per_1000_h=0.008,
-    friction_per_1000_h=0.020,
-    ageing_per_decade=0.02,
-    scatter_growth_per_1000_h=0.20,
-    noisy_hour_probability=0.25,
-    noisy_factor=4.0,
-    burst_probability=0.3,
-    burst_v=0.3,
-    knock_probability=0.03,
-    knock_v=0.3,
-)
-"""Outdoors on a pipe or vessel in service."""
-
-NUISANCE: Mapping[str, NuisanceParameters] = MappingProxyType(
-    {"laboratory": LABORATORY, "workshop": WORKSHOP, "plant": PLANT}
-)
+    for name, sizes in tomllib.loads(_FILE.read_text(encoding="utf-8")).items()
+}
 """The levels by name; ``none`` has none."""

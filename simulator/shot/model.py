@@ -153,9 +153,8 @@ class ShotModel:
         The transducer, the specimen and its patch; `corrosion.depth_fraction` is the depth of a shot
         that names none.
     duration_s
-        Length of the record from first touch. None chooses one that holds the reflected wave: 1.4 ms
-        for the paper's chain, longer for slow chains and for a specimen so soft that the wave turns
-        round late (`TURN_TO_END`).
+        Length of the record from first touch. None: it holds the reflected wave, 1.4 ms for the paper's
+        chain, longer for slow chains and for soft specimens, where it comes late (`TURN_TO_END`).
     cache_folder
         Where reductions of plates are kept; None keeps none.
     step_s

@@ -11,11 +11,6 @@ OPTIONS = "one parameter for each option of the command line, as click passes th
 QUERY = "one parameter for each query parameter of the route, as FastAPI reads them"
 EXCEPTIONS = {
     ("daq_service/archive/journal/frames.py", "_frame", "parameters"): "one for each field of the format",
-    (
-        "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.py",
-        "upgrade",
-        "function",
-    ): "a migration that was released is not rewritten",
     ("daq_service/cli/demo.py", "run_demo", "parameters"): OPTIONS,
     ("daq_service/cli/offline/assess.py", "run_assess", "parameters"): OPTIONS,
     ("daq_service/cli/offline/features.py", "run_features", "parameters"): OPTIONS,

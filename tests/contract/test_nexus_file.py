@@ -165,13 +165,13 @@ def test_receiver_settings_are_stored_with_the_echo(file):
 
 
 def test_the_truth_of_simulated_shots_has_units_and_marks_missing_values(file):
-    truth = file["entry/B_truth"]
-    assert truth["shot_id"][()].tolist() == [41, 42, 43]
-    assert truth["drop_height_m"][0] == 5.1e-3
+    truth = file["entry/truth"]
+    assert truth["shot_id"][()].tolist() == [40, 41, 42, 43, 44]
+    assert truth["drop_height_m"][1] == 5.1e-3
     assert text(truth["drop_height_m"].attrs["units"]) == "m"
     assert text(truth["depth_fraction"].attrs["units"]) == ""
-    assert truth["drop_height_m"].attrs["known"].tolist() == [1, 0, 0]
-    assert truth["depth_fraction"].attrs["known"].tolist() == [1, 1, 0]
+    assert truth["drop_height_m"].attrs["known"].tolist() == [0, 1, 0, 0, 0]
+    assert truth["depth_fraction"].attrs["known"].tolist() == [0, 1, 1, 0, 0]
 
 
 def test_the_file_says_what_was_missed_and_which_attempt_counts(file):
@@ -190,13 +190,13 @@ def test_the_file_says_what_was_missed_and_which_attempt_counts(file):
 
 
 def test_instrument_data_has_units_and_marks_missing_values(file):
-    settings = file["entry/B_settings"]
-    assert settings["shot_id"][()].tolist() == [41, 42, 43]
-    assert texts(settings["board"][()]) == ["01A2B3C4", "", "01A2B3C5"]
-    assert settings["board"].attrs["known"].tolist() == [1, 0, 1]
-    assert settings["trigger_level_v"][0] == 0.4
+    settings = file["entry/settings"]
+    assert settings["shot_id"][()].tolist() == [40, 41, 42, 43, 44]
+    assert texts(settings["board"][()]) == ["", "01A2B3C4", "", "01A2B3C5", ""]
+    assert settings["board"].attrs["known"].tolist() == [0, 1, 0, 1, 0]
+    assert settings["trigger_level_v"][1] == 0.4
     assert text(settings["trigger_level_v"].attrs["units"]) == "V"
-    assert text(file["entry/A_settings/driver_version"][0]) == "1.5"
+    assert text(settings["driver_version"][0]) == "1.5"
 
 
 def test_the_environment_of_a_set_has_units(file):

@@ -6,8 +6,10 @@ What differs from one board to the next of a kind (serial number, slot, errors o
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import tomllib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 from hardware_drivers.measurement import Calibration
 from simulator.electronics.transduction import adc_calibration
@@ -39,16 +41,16 @@ class BoardType:
     product: str
     analog_inputs: int
     resolution_bits: int
-    ranges_v: tuple[float, ...]
+    ranges_v: Sequence[float]
     timebase_hz: float
     max_rate_hz: float
     simultaneous: bool
     terminal_configuration: int
-    counter_terminals: tuple[str, ...]
-    digital_lines: tuple[str, ...]
+    counter_terminals: Sequence[str]
+    digital_lines: Sequence[str]
     watchdog: bool
-    starting_counters: tuple[int, ...]
-    start_delay_ticks: tuple[int, int]
+    starting_counters: Sequence[int]
+    start_delay_ticks: Sequence[int]
 
     @property
     def raw_sample_bits(self) -> int:
@@ -66,62 +68,15 @@ class BoardType:
 
 
 DIFFERENTIAL = 10106
-PSEUDODIFFERENTIAL = 12529
 _PFI = tuple(f"PFI{number}" for number in range(16))
-_PORTS = tuple(f"port{1 + line // 8}/line{line % 8}" for line in range(16))
-_PFI_OF_LINE = dict(zip(_PORTS, _PFI, strict=True))
+_PFI_OF_LINE = {f"port{1 + line // 8}/line{line % 8}": _PFI[line] for line in range(16)}
 
-_X_SERIES = BoardType(
-    product="PXIe-6386",
-    analog_inputs=8,
-    resolution_bits=16,
-    ranges_v=(1.0, 2.0, 5.0, 10.0),
-    timebase_hz=100e6,
-    max_rate_hz=100e6 / 7,
-    simultaneous=True,
-    terminal_configuration=DIFFERENTIAL,
-    counter_terminals=("PFI12", "PFI13", "PFI14", "PFI15"),
-    digital_lines=_PORTS,
-    watchdog=True,
-    starting_counters=(0, 1, 2, 3),
-    start_delay_ticks=(14, 2**32 - 1),
-)
-_TYPES = (
-    _X_SERIES,
-    replace(_X_SERIES, product="PXIe-6396", resolution_bits=18),
-    BoardType(
-        product="PXI-6115",
-        analog_inputs=4,
-        resolution_bits=12,
-        ranges_v=(0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 42.0),
-        timebase_hz=20e6,
-        max_rate_hz=10e6,
-        simultaneous=True,
-        terminal_configuration=PSEUDODIFFERENTIAL,
-        counter_terminals=("Ctr0Out", "Ctr1Out"),
-        digital_lines=tuple(f"port0/line{line}" for line in range(8)),
-        watchdog=False,
-        starting_counters=(0,),
-        start_delay_ticks=(2, 2**24 - 1),
-    ),
-    BoardType(
-        product="PCI-6221",
-        analog_inputs=16,
-        resolution_bits=16,
-        ranges_v=(0.2, 1.0, 5.0, 10.0),
-        timebase_hz=20e6,
-        max_rate_hz=250e3,
-        simultaneous=False,
-        terminal_configuration=DIFFERENTIAL,
-        counter_terminals=("PFI12", "PFI13"),
-        digital_lines=_PORTS,
-        watchdog=False,
-        starting_counters=(0, 1),
-        start_delay_ticks=(2, 2**24 - 1),
-    ),
-)
-
-BOARD_TYPES: Mapping[str, BoardType] = {kind.product: kind for kind in _TYPES}
+BOARD_TYPES: Mapping[str, BoardType] = {
+    product: BoardType(product=product, **sizes)
+    for product, sizes in tomllib.loads(
+        Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+    ).items()
+}
 """By product name."""
 
 

@@ -103,8 +103,31 @@ def as_format_1_0(path):
     with h5py.File(path, "r+") as file:
         file.attrs["solimon_format_version"] = "1.0"
         entry = file["entry"]
-        for name in ("missed", "environment", "trouble", "shots/outcome", "A_settings", "B_settings"):
+        for name in ("missed", "environment", "trouble", "shots/outcome", "settings"):
             del entry[name]
+
+
+def test_truth_and_settings_of_a_file_of_format_1_6_are_read(stored):
+    with h5py.File(stored, "r+") as file:
+        file.attrs["solimon_format_version"] = "1.6"
+        entry = file["entry"]
+        for kind in ("truth", "settings"):  # a group for each position
+            for position, rows in (("A", slice(0, 1)), ("B", slice(1, 4)), ("C", slice(4, 5))):
+                group = entry.create_group(f"{position}_{kind}")
+                for name, values in entry[kind].items():
+                    group[name] = values[rows]
+                    if "known" in values.attrs:
+                        group[name].attrs["known"] = values.attrs["known"][rows]
+            del entry[kind]
+    assert_same_set(read_set(stored), make_set())
+
+
+def test_sets_whose_texts_differ_in_length_have_one_structure():
+    structures = set()
+    for due_h in (4.0, 4.5):
+        with h5py.File.in_memory(build_image(replace(make_set(), due_h=due_h))) as file:
+            structures.add(file["entry/title"].dtype.str)
+    assert structures == {"|S16"}
 
 
 def test_a_file_of_format_1_0_is_read(stored):
