@@ -442,7 +442,7 @@ class SetRecord(OfSet):
 
     def __post_init__(self) -> None:
         for name in ("positions", "shots", "echoes", "missed"):
-            Any.__setattr__(self, name, tuple(getattr(self, name)))
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         records = self.records
         if not records:
             raise ValueError(f"set {self.set_key} has no record; a set without one has rows but no file")
