@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
 from daq_service.acquisition.schedule import due_hours, unscheduled_set
-from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, disabled_positions
+from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, add_evidence, disabled_positions
 from daq_service.assessment.confirmation import (
     CONFIRMATION_ASKED,
     Confirmation,
@@ -159,3 +159,14 @@ class Confirmations:
             else condition
             for condition in conditions
         ]
+
+
+def add_confirmation(alarms: Alarms, position: str, transaction: SetCommit, moment: Moment) -> None:
+    """Add the result of a confirmation set to the active alarm of its position."""
+    assessment = transaction.assessments[0] if transaction.assessments else None
+    payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
+    for kind in ALARMS_OF_CHANGE:
+        row = alarms.get((position, kind))
+        if row is not None and row.state != "normal":
+            change = add_evidence(row, {"confirmation": payload}, moment)
+            transaction.add_alarm(change.row, change.event(moment))

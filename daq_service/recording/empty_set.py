@@ -12,8 +12,9 @@ from daq_service.alarms.states import Moment
 from daq_service.assessment.assessor import PositionResult
 from daq_service.catalogue import SetCommit
 from daq_service.recording.acquire_set import TakenSet
+from daq_service.recording.confirmations import add_confirmation
 from daq_service.recording.persistence import Persistence
-from daq_service.recording.set_assessor import SetAssessor, add_confirmation, add_position
+from daq_service.recording.set_assessor import SetAssessor, add_position
 from hardware_drivers.measurement import DueSet
 
 log = logging.getLogger(__name__)

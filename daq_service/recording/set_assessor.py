@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
 from functools import partial
 from types import MappingProxyType
 from typing import Any
@@ -18,16 +18,13 @@ from daq_service.alarms.operator_actions import end_expired_shelf
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
 from daq_service.alarms.rig_trouble import RIG_UNAVAILABLE, lost_cause, rig_condition
 from daq_service.alarms.states import (
-    ALARMS_OF_CHANGE,
     Condition,
     Moment,
-    add_evidence,
     disabled_positions,
     update,
 )
 from daq_service.archive import SetReader, SetRecord, waveform_crc32
 from daq_service.assessment.assessor import Assessor, PositionResult
-from daq_service.assessment.confirmation import summarize_confirmation
 from daq_service.assessment.methods import METHODS
 from daq_service.assessment.restore_state import STATE_FORMAT
 from daq_service.catalogue import Catalogue, RecorderCatalogue, SetCommit
@@ -35,11 +32,11 @@ from daq_service.catalogue.rows import AlarmRow, AssessorStateRow, EventRow, Out
 from daq_service.catalogue.writer import payload_of
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
-from daq_service.recording.confirmations import Alarms, Confirmations
+from daq_service.recording.confirmations import Confirmations, add_confirmation
+from daq_service.recording.report_changes import report_changes
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
 from hardware_drivers.measurement import DueSet, PulseEchoRecord, Shot
-from hardware_drivers.nanoseconds import NS_PER_H
 
 log = logging.getLogger(__name__)
 
@@ -308,7 +305,7 @@ class SetAssessor:
         for event in transaction.events:
             self.take_stored(event)
         self.confirmations.take_rows(transaction)
-        _report_changes(transaction, self._news)
+        report_changes(transaction, self._news)
 
 
 def shot_row(
@@ -366,37 +363,6 @@ def add_position(
     for assessment in position_result.assessments[-1:]:
         payload = payload_of(assessment) if assessment.in_baseline else {}
         transaction.events.append(event("assessments", "set_assessed", payload))
-
-
-def add_confirmation(alarms: Alarms, position: str, transaction: SetCommit, moment: Moment) -> None:
-    """Add the result of a confirmation set to the active alarm of its position."""
-    assessment = transaction.assessments[0] if transaction.assessments else None
-    payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
-    for kind in ALARMS_OF_CHANGE:
-        row = alarms.get((position, kind))
-        if row is not None and row.state != "normal":
-            change = add_evidence(row, {"confirmation": payload}, moment)
-            transaction.add_alarm(change.row, change.event(moment))
-
-
-def _report_changes(transaction: SetCommit, news: Callable[..., None]) -> None:
-    """Report gaps and alarm changes to the program that started the test."""
-    lacking: dict[tuple[int, str, str], list[str]] = {}
-    for row in transaction.sets:
-        if row.state in ("missed", "partial") and row.purpose is None:
-            lacking.setdefault((row.set_index, row.state, row.reason or ""), []).append(row.position)
-    for (set_index, state, reason), positions in lacking.items():
-        news("gap", set_index=set_index, state=state, reason=reason, positions=positions)
-    for at, row_at in transaction.alarm_of_event.items():
-        alarm = transaction.alarms[row_at]
-        since_h = (alarm.changed_utc_ns - alarm.raised_utc_ns) / NS_PER_H
-        news(
-            "alarm",
-            change=transaction.events[at].kind,
-            hour=alarm.raised_h + since_h,
-            priority=alarm.priority,
-            message=alarm.message,
-        )
 
 
 class PositionAssessors:
