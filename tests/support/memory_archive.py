@@ -22,7 +22,7 @@ from daq_service.archive import (
     StoreTimings,
     waveform_crc32,
 )
-from daq_service.archive.records import SETS_FOLDER, JournalDamage
+from daq_service.archive.records import JournalDamage, set_reference
 from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot, Waveform
 
 NO_TIME = StoreTimings(image_s=0.0, fsync_s=0.0)
@@ -36,11 +36,6 @@ class Shelf:
     open: dict[SetKey, OpenSet] = field(default_factory=dict)
     damaged: set[tuple[SetReference, int]] = field(default_factory=set)
     quarantine: list[tuple[SetReference, SetRecord]] = field(default_factory=list)
-
-
-def reference_of(set_key: SetKey) -> SetReference:
-    """Return the reference of a set."""
-    return SetReference(f"{SETS_FOLDER}/set_{set_key.set_index:06d}_{set_key.unscheduled_index:03d}.h5")
 
 
 class MemoryArchive:
@@ -99,7 +94,7 @@ class MemoryArchive:
         self.shelf.open.pop(set_key, None)
 
     def store_set(self, record: SetRecord) -> StoredSet:
-        reference = reference_of(record.set_key)
+        reference = set_reference(record.set_key, record.due_utc_ns)
         stored = self.sets().get(record.set_key)
         record = replace(
             record,
