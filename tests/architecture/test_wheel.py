@@ -57,6 +57,7 @@ def test_the_wheel_holds_configuration_dashboard_templates_migrations_and_licenc
         "daq_service/web/dashboard/vendor/uplot/LICENSE",
         "daq_service/alarms/evidence.toml",
         "daq_service/alarms/guidance.toml",
+        "daq_service/catalogue/earlier_names.toml",
         "daq_service/corrosion_drive/conditions.toml",
         "daq_service/settings/alarm_delays.toml",
         "analysis/diagnosis/slopes.toml",
