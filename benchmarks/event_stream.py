@@ -198,8 +198,8 @@ async def measure_deliveries(
     before = served.use()["cpu_s"]
     with open_catalogue(folder, writer=True) as catalogue:
         for number in range(int(rate_hz * seconds)):
-            event: dict[str, Any] = {"utc_ns": number, "topic": "sets", "payload": payload_of(number)}
-            await asyncio.to_thread(catalogue.add_event, kind="set_done", **event)
+            event = EventRow(utc_ns=number, topic="sets", kind="set_done", payload=payload_of(number))
+            await asyncio.to_thread(catalogue.commit_set, SetCommit(events=[event]))
             await asyncio.sleep(1.0 / rate_hz)
     async with asyncio.timeout(60.0):
         await all_came.wait()

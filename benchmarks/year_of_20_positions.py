@@ -108,7 +108,7 @@ def fill(folder: Path, settings: Settings, n_sets: int) -> None:
             clock="simulated",
             solimon_version="0",
         )
-        catalogue.add_event(utc_ns=0, topic="service", kind="recorder_started", payload={"dry_run": False})
+        catalogue.add_service_event(utc_ns=0, kind="recorder_started", payload={"dry_run": False})
         for first in range(0, n_sets, SETS_A_COMMIT):
             commit = SetCommit()
             for due in due_sets[first : first + SETS_A_COMMIT]:

@@ -253,28 +253,10 @@ class RecorderCatalogue(Catalogue):
             order_id=order_id,
         )
 
-    def add_event(
-        self,
-        *,
-        utc_ns: int,
-        topic: str,
-        kind: str,
-        payload: Mapping[str, Any],
-        position: str | None = None,
-        set_index: int | None = None,
-        unscheduled_index: int = 0,
-    ) -> int:
-        """Append one event and return its id."""
-        row = EventRow(
-            utc_ns=utc_ns,
-            topic=topic,
-            kind=kind,
-            position=position,
-            set_index=set_index,
-            unscheduled_index=unscheduled_index,
-            payload=dict(payload),
-        )
-        return self.commit_set(SetCommit(events=[row])).event_ids[0]
+    def add_service_event(self, *, utc_ns: int, kind: str, payload: Mapping[str, Any]) -> int:
+        """Append an event of the service and return its id."""
+        event = EventRow(utc_ns=utc_ns, topic="service", kind=kind, payload=dict(payload))
+        return self.commit_set(SetCommit(events=[event])).event_ids[0]
 
     def without_digest(self) -> dict[SetKey, str]:
         """Return the files of sets without a stored SHA-256, by key."""

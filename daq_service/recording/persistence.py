@@ -145,7 +145,7 @@ class Persistence:
         utc_ns = self._moment().utc_ns
 
         def job() -> None:
-            self._catalogue.add_event(utc_ns=utc_ns, topic="service", kind=kind, payload=payload)
+            self._catalogue.add_service_event(utc_ns=utc_ns, kind=kind, payload=payload)
 
         self.do(job)
 

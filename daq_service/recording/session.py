@@ -213,7 +213,7 @@ def _note_rebuilt(catalogue: RecorderCatalogue, rebuilt: dict[str, Any], epoch_n
     """Store the event that the catalogue was lost and rebuilt, at the time of its newest event."""
     newest = catalogue.events_after(catalogue.last_event_id() - 1, limit=1)
     now_ns = newest[0].utc_ns if newest else epoch_ns
-    catalogue.add_event(utc_ns=now_ns, topic="service", kind="catalogue_rebuilt", payload=rebuilt)
+    catalogue.add_service_event(utc_ns=now_ns, kind="catalogue_rebuilt", payload=rebuilt)
 
 
 def _note_file(
@@ -288,7 +288,7 @@ def _separate_copy(folder: Path, catalogue: RecorderCatalogue, epoch_ns: int) ->
     write_experiment(folder, separated)
     payload = {"uuid": separated.uuid, "original_uuid": row.uuid}
     utc_ns = catalogue.last_ended_utc_ns() or epoch_ns
-    catalogue.add_event(utc_ns=utc_ns, topic="service", kind="copy_continued", payload=payload)
+    catalogue.add_service_event(utc_ns=utc_ns, kind="copy_continued", payload=payload)
     log.warning("this folder is a backup: it continues as test %s", separated.uuid)
 
 
@@ -312,7 +312,7 @@ def _store_stop(
     alone = unsupervised.is_set()
     kind = "recorder_left_alone" if alone else "recorder_stopped"
     try:
-        catalogue.add_event(utc_ns=moment.utc_ns, topic="service", kind=kind, payload={})
+        catalogue.add_service_event(utc_ns=moment.utc_ns, kind=kind, payload={})
         history.follow(now=True)
     except PASSING as error:
         log.warning("the stop is not stored: %s", error)

@@ -78,7 +78,7 @@ def kinds_of_the_code():
                 place = node.args[0]
             elif name == "annotate":
                 place = node.args[1]
-            elif name in {"event", "add_event", "store_event"} and len(node.args) >= 2:
+            elif name in {"event", "store_event"} and len(node.args) >= 2:
                 first = set(texts(node.args[0], constants))
                 place = node.args[1] if first & set(TOPICS) else node.args[0]
             elif name == "change_state":
@@ -86,7 +86,7 @@ def kinds_of_the_code():
             named = [key.value for key in node.keywords if key.arg == "event_kind"]
             if name == "change_baselines":
                 named += [step.elts[1] for step in node.args if isinstance(step, ast.Tuple)]
-            if name == "add_event":
+            if name == "add_service_event":
                 named += [key.value for key in node.keywords if key.arg == "kind"]
             for part in ([place] if place is not None else []) + named:
                 yield from texts(part, constants)

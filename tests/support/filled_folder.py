@@ -127,9 +127,7 @@ class FilledFolder:
             heartbeat = Heartbeat(self.folder, deadline_s=3600.0)
             heartbeat.stage = "ended"
             heartbeat.beat("leaving")
-        return self.catalogue.add_event(
-            utc_ns=utc_ns or self.epoch_ns, topic="service", kind=kind, payload=payload
-        )
+        return self.catalogue.add_service_event(utc_ns=utc_ns or self.epoch_ns, kind=kind, payload=payload)
 
     def scene(self, position: str, hour: float) -> Scene:
         lost = depth(position, hour)

@@ -35,4 +35,4 @@ def new_catalogue(folder: Path) -> RecorderCatalogue:
 def add_events(catalogue: RecorderCatalogue, *kinds: str) -> None:
     """Add consecutive events of the recorder."""
     for kind in kinds:
-        catalogue.add_event(utc_ns=0, topic="service", kind=kind, payload={})
+        catalogue.add_service_event(utc_ns=0, kind=kind, payload={})

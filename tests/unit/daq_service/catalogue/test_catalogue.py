@@ -442,7 +442,7 @@ def test_an_assessment_may_refer_to_the_baseline_of_the_same_commit(writer, read
 
 def test_event_ids_follow_the_order_of_the_rows(writer, reader):
     first = writer.commit_set(SetCommit(events=[event_row(f"k{n}") for n in range(40)])).event_ids
-    second = writer.add_event(utc_ns=1, topic="service", kind="gap", payload={})
+    second = writer.add_service_event(utc_ns=1, kind="gap", payload={})
     assert first == sorted(first)
     assert second > first[-1] == first[0] + 39
     assert [row.kind for row in reader.events_after(first[0])][:2] == ["k1", "k2"]
@@ -694,6 +694,6 @@ def test_a_writer_that_sqlite_opened_read_only_connects_again(tmp_path, monkeypa
 
     monkeypatch.setattr(connection.sqlite3, "connect", once_for_reading)
     with open_catalogue(tmp_path, writer=True) as catalogue:
-        catalogue.add_event(utc_ns=HOUR_0_NS, topic="service", kind="gap", payload={})
+        catalogue.add_service_event(utc_ns=HOUR_0_NS, kind="gap", payload={})
         assert catalogue.last_event_id() == 1
     assert refused

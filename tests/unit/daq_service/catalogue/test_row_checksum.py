@@ -78,7 +78,7 @@ def test_a_changed_value_is_reported_and_never_read(folder, kind, statement, row
 def test_one_corrupt_row_hides_no_other(folder):
     with open_catalogue(folder, writer=True) as catalogue:
         for number in range(4):
-            catalogue.add_event(utc_ns=number, topic="service", kind="told", payload={})
+            catalogue.add_service_event(utc_ns=number, kind="told", payload={})
     change(folder, "UPDATE events SET payload = '}' WHERE id = 2")
     change(folder, "UPDATE events SET utc_ns = 8 WHERE id = 4")
     assert [damage.row_id for damage in catalogue_corruption(folder)] == [2, 4]

@@ -165,7 +165,7 @@ def test_missing_rows_before_later_ones_are_reported(folder):
 def test_an_older_copy_of_the_catalogue_is_named_by_verify_and_status(folder):
     older = (folder / "catalogue.sqlite").read_bytes()
     with open_catalogue(folder, writer=True) as catalogue:
-        catalogue.add_event(utc_ns=1, topic="service", kind="recorder_stopped", payload={})
+        catalogue.add_service_event(utc_ns=1, kind="recorder_stopped", payload={})
         HistoryFollower(folder, catalogue).begin()
     assert kinds(folder) == []
     assert describe_status(*reversed(settings_of_folder(None, folder)))["lost"] == {}

@@ -141,7 +141,7 @@ def test_after_a_boot_the_recorder_has_time_to_start(bench):
 
 
 def pause(bench):
-    bench.catalogue.add_event(utc_ns=0, topic="service", kind="pause", payload={"paused": "Ada: filling"})
+    bench.catalogue.add_service_event(utc_ns=0, kind="pause", payload={"paused": "Ada: filling"})
 
 
 def finish(bench):

@@ -203,7 +203,7 @@ def test_a_set_missed_while_another_program_locks_the_catalogue_has_that_as_its_
 
 def test_the_recorder_waits_for_the_last_event_of_a_test(line, monkeypatch):
     is_last = lambda catalogue, *, kind, **values: kind == "schedule_done"  # noqa: E731
-    refuse(monkeypatch, RecorderCatalogue, "add_event", LOCKED, times=2, when=is_last)
+    refuse(monkeypatch, RecorderCatalogue, "add_service_event", LOCKED, times=2, when=is_last)
     assert line.run(mono_s=Seconds())
     assert "schedule_done" in {row.kind for row in line.rows("events")}
     assert {row.state for row in line.alarms()} == {"returned_unacknowledged"}
