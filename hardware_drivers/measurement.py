@@ -487,5 +487,6 @@ class SetRecord(OfSet):
         return sum(attempt > 0 for attempt in self._attempts_at(position))
 
     def _attempts_at(self, position: str) -> list[int]:
+        """Return the attempt number of each strike at a position, missed ones included."""
         tried: list[Shot | MissedShot] = [*self.shots, *self.missed]
         return [item.key.attempt for item in tried if item.key.position == position]

@@ -204,4 +204,5 @@ def _echo(
 
 
 def _stamp(rig: Rig, boot_id: str) -> Stamp:
+    """Return the time stamp of now."""
     return Stamp(utc_ns=rig.clock.utc_ns(), mono_ns=rig.clock.mono_ns(), boot_id=boot_id)

@@ -213,12 +213,14 @@ class Bench(StruckDigitizer):
         return acquired
 
     def _record(self, key: ShotKey, utc_ns: int) -> Acquired | None:
+        """Return the record of a strike, computed now or ahead of time."""
         if self._ahead is None:
             return self.specimen.solitary_wave(key, self.hour_h(utc_ns))
         return self._ahead.record(key, utc_ns, self.hour_h)
 
 
 def _require_position(key: ShotKey, known: Mapping[str, object], role: str) -> None:
+    """Raise ConfigurationError for a position that is not configured."""
     if key.position not in known:
         names = ", ".join(sorted(known)) or "none"
         raise ConfigurationError(f"no {role} at position {key.position!r}; there are: {names}")
@@ -264,6 +266,7 @@ class SimulatedStriker:
             self._switch(self._energised, energised=False)
 
     def _switch(self, position: str, *, energised: bool) -> None:
+        """Switch a coil and record the event."""
         self._energised = position if energised else None
         now_ns = self._bench.clock.utc_ns()
         self._events.append(CoilEvent(utc_ns=now_ns, position=position, energised=energised))

@@ -69,4 +69,5 @@ def _decoded(kind: Any, value: Any) -> Any:
 
 @cache
 def _hints(kind: type) -> dict[str, object]:
+    """Return the resolved types of a dataclass's fields, once per class."""
     return get_type_hints(kind)

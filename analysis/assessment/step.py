@@ -283,6 +283,7 @@ def enabled(state: State) -> State:
 
 
 def _add_to_baseline(state: State, set_of_shots: SetOfShots) -> State:
+    """Add a set to the baseline that is being collected; one without all features counts as left out."""
     if set_of_shots.vector() is None:
         return replace(state, n_left_out=state.n_left_out + 1)
     return replace(state, healthy=(*state.healthy, replace(set_of_shots, flags=(), reason="")))
@@ -327,6 +328,7 @@ def _freeze_baseline(state: State, rules: Rules) -> State:
 
 
 def _minimum_sets(rules: Rules) -> int:
+    """Return the minimum number of sets of a baseline: the configured one, or what the statistics need."""
     return max(rules.minimum_sets, MINIMUM_SETS)
 
 

@@ -67,6 +67,7 @@ def end_averages(changes: FloatArray) -> FloatArray:
 
 
 def _end_weights(n: int) -> FloatArray:
+    """Return the exponential weights of the last sets, newest last, shape (n_rates, n)."""
     ago = np.arange(n)[::-1]
     return np.array([rate * (1.0 - rate) ** ago for rate in END_RATES])
 

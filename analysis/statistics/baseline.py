@@ -87,6 +87,7 @@ class Baseline:
 
 
 def _read_only(values: FloatArray) -> FloatArray:
+    """Return a read-only copy."""
     copy = np.array(values, dtype=np.float64, copy=True)
     copy.flags.writeable = False
     return copy

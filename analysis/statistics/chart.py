@@ -70,6 +70,7 @@ class Chart:
         return self._entering(innovation(self._along(vector), self._along(before), distance, self.phi))
 
     def _along(self, vectors: ArrayLike) -> FloatArray:
+        """Project vectors onto the chart's directions, after subtracting the mean."""
         return np.asarray((np.asarray(vectors, dtype=np.float64) - self.mean) @ self.directions)
 
     def _entering(self, new: FloatArray) -> FloatArray:

@@ -54,6 +54,7 @@ class SharedChange:
 
 @lru_cache(maxsize=64)
 def _limits(n: int, p: int) -> FloatArray:
+    """Return the limit of the MEWMA at each of `RUN_LENGTHS` for a baseline of n sets and p features."""
     return np.array([estimated_limit(n, p, length) for length in RUN_LENGTHS.tolist()])
 
 
@@ -280,5 +281,6 @@ def residual_shift(
 
 
 def _largest(average: FloatArray) -> tuple[float, ...]:
+    """Return the largest deviation of each feature over all rows, with its sign."""
     rows: Sequence[int] = np.abs(average).argmax(axis=0).tolist()
     return tuple(float(average[row, feature]) for feature, row in enumerate(rows))

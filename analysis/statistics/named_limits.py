@@ -69,6 +69,7 @@ class NamedLimit:
 
 
 def _chi_square(facts: Facts) -> float:
+    """Return the chi-square limit at the false-alarm rate."""
     return float(scipy.special.chdtri(facts.baseline.p, facts.rate))
 
 

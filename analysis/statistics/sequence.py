@@ -138,6 +138,7 @@ def _scaled(x: FloatArray, healthy: np.ndarray) -> FloatArray:
 
 
 def _too_few(n: int, subject: str) -> str:
+    """Return the message that a baseline has too few sets."""
     return f"{n} {subject} in the baseline; at least {MINIMUM_SETS} are needed: let it be longer"
 
 
@@ -260,10 +261,12 @@ def _statistics(
 
 
 def _whitened(vectors: FloatArray, baseline: Baseline) -> FloatArray:
+    """Standardize vectors by the baseline and decorrelate their features."""
     return np.asarray((vectors - baseline.mean) / baseline.sd @ baseline.whitening)
 
 
 def _values_in_rows(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:
+    """Return an array of NaN with the values in their rows."""
     result = np.full(size, np.nan)
     result[rows] = values
     return result

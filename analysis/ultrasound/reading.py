@@ -69,4 +69,5 @@ def read_echo(
 
 
 def _finite_or_none(value: float) -> float | None:
+    """Return the value, or None if it is not finite."""
     return value if math.isfinite(value) else None

@@ -417,6 +417,7 @@ def _check_reference(
 
 
 def _centred(waveform: Waveform) -> FloatArray:
+    """Return the volts about their median."""
     volts = waveform.volts()
     return np.asarray(volts - np.median(volts), dtype=np.float64)
 

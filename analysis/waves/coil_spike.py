@@ -211,6 +211,7 @@ def _edge(volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trig
 
 
 def _signed(edge: EdgeSpike, sign: float) -> EdgeSpike:
+    """Return an edge with the sign of its heights applied."""
     return replace(edge, height_v=sign * edge.height_v, flyback_v=sign * edge.flyback_v)
 
 

@@ -75,6 +75,7 @@ def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[n
 
 
 def _table(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
+    """Return points and standard deviations of all outlines, shape (n_outlines, n_points) each."""
     return np.array([one.points for one in outlines]), np.array([one.sd for one in outlines])
 
 

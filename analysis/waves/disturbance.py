@@ -261,4 +261,5 @@ def _find_constant_stretches(record: ReducedRecord, steps: FloatArray, shortest:
 
 
 def _smallest_step(steps: FloatArray) -> float:
+    """Return the smallest step that is not zero; infinite if there is none."""
     return float(np.abs(steps[steps != 0.0]).min(initial=math.inf))

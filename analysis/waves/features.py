@@ -342,6 +342,7 @@ def _extract_alike(
 
 
 def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
+    """Return the outline of a record; None if one of its pulses is missing."""
     isw, psw = pulses.isw, pulses.psw
     return None if isw is None or psw is None else outline(record, isw, psw)
 

@@ -123,4 +123,5 @@ def outcomes(attempts: Sequence[Attempt]) -> list[str]:
 
 
 def _merit(item: Attempt) -> tuple[int, int]:
+    """Return what ranks an attempt: its quality, then the later one."""
     return _RANK[item.quality], item.attempt

@@ -137,12 +137,14 @@ def flag_residual_reflections(shots: Sequence[ShotFeatures], usual_ratio: float 
 
 
 def _has_no_reflection(shot: ShotFeatures) -> ShotFeatures:
+    """Return the features of a shot without a reflected wave, with the flag that says so."""
     # What is no strike alone can be no sign of a hole.
     flag = "missed" if DISTURBED in shot.flags else "no_psw"
     return with_flags(replace(_of_incident_wave(shot), outline=None), {*shot.flags, flag} - {"psw_merged"})
 
 
 def _of_incident_wave(shot: ShotFeatures) -> ShotFeatures:
+    """Return the shot with only the features of the incident wave."""
     unknown = [name for name in ALL_FEATURE_NAMES if not name.startswith(("isw_", "noise_"))]
     nothing: dict[str, Any] = dict.fromkeys(unknown, math.nan)
     return replace(shot, **nothing)

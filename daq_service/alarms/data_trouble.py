@@ -38,6 +38,7 @@ def damage_condition(
 
 
 def _sentence(fault: str) -> str:
+    """Return what is wrong with a file as a predicate."""
     return fault if fault.startswith("is ") else f"is damaged: {fault}"
 
 

@@ -215,6 +215,7 @@ def _values(evidence: Evidence, *names: str) -> list[Any]:
 
 
 def _number(value: float) -> str:
+    """Format a value with three significant digits."""
     return f"{value:.3g}" if abs(value) < 1000.0 else f"{value:.0f}"
 
 

@@ -213,6 +213,7 @@ def _updated_columns(row: AlarmRow, condition: Condition) -> dict[str, Any]:
 
 
 def _evidence_of(condition: Condition) -> dict[str, Any]:
+    """Return the evidence of a condition, with what is known of its cause."""
     return dict(condition.evidence) | ({"known": condition.known} if condition.known else {})
 
 

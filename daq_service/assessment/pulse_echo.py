@@ -146,6 +146,7 @@ class PulseEchoAssessor:
 
     @property
     def _limit_loss_m(self) -> float:
+        """Return the thickness loss that raises the alarm, m."""
         return self._settings.alarms.thickness_loss_fraction * self._settings.ultrasound.initial_thickness_m
 
     def _condition(self, due: DueSet, row: ThicknessRow, reading: EchoReading) -> Condition:

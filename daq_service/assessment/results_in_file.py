@@ -62,6 +62,7 @@ def results_of(
 
 
 def _columns(rows: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """Return a table as columns by name."""
     return {name: [row[name] for row in rows] for name in rows[0]}
 
 
@@ -81,13 +82,16 @@ def find_differences(copy: Results, rows: Results) -> Iterator[str]:
 
 
 def _rows_by_key(key: str, columns: Mapping[str, Sequence[Any]]) -> dict[Any, dict[str, Any]]:
+    """Return the rows of a table by their key."""
     rows = (dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True))
     return {row[key]: row for row in rows}
 
 
 def _is_equal(left: Any, right: Any) -> bool:
+    """Return whether two values are equal; two NaN are."""
     return bool(left == right or (left != left and right != right))
 
 
 def _nan_if_none(value: float | None) -> float:
+    """Return the value, or NaN if it is missing or infinite."""
     return math.nan if value is None or math.isinf(value) else value

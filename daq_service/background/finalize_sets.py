@@ -138,6 +138,7 @@ class SetFinalizer(BackgroundTask):
         self.trouble = self.trouble if self._again_s else ""
 
     def _put_off(self, set_key: SetKey, error: Exception) -> None:
+        """Keep a set in the journal, and try to give it a file again later."""
         log.error("set %s has no file yet and stays in the journal: %s", set_key, error)
         self.trouble = f"{error}"
         self._again_s[set_key] = self._machine.mono_s() + AGAIN_AFTER_S

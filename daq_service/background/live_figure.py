@@ -96,4 +96,5 @@ class LiveFigure(BackgroundTask):
 
 
 def _finite(value: float | None) -> float | None:
+    """Return the value, or None if it is missing or not finite."""
     return None if value is None or not math.isfinite(value) else value

@@ -131,5 +131,6 @@ class IdleVerification(BackgroundTask):
 
 
 def _key_of(file: str) -> SetKey:
+    """Return the key of the set in a file."""
     (set_key,) = set_keys([Path(file).name])
     return set_key

@@ -156,6 +156,7 @@ def lost_rows(connection: sa.Connection) -> Iterator[tuple[int, str]]:
 
 
 def _lost_row(event_id: int | None, kind: type[Row]) -> str:
+    """Return the message that an event's row is missing."""
     return f"row {event_id} of table {events.name} lacks its row of table {TABLES[kind].name}"
 
 
@@ -171,8 +172,10 @@ def _as_stored(payload: Payload) -> object:
 
 
 def _key(event: EventRow) -> Key:
+    """Return the kind, the position and the set of the row that an event reports."""
     return ROW_OF_EVENT.get(event.kind, EventRow), event.position, event.set_key
 
 
 def _key_of_row(row: Any) -> Key:
+    """Return the key of a row, as `_key` does for its event."""
     return type(row), getattr(row, "position", None), getattr(row, "set_key", SetKey(row.set_index))

@@ -207,6 +207,7 @@ class UnchangedCatalogue:
 
     @cached_property
     def _positions(self) -> list[str]:
+        """Return the positions that have sets."""
         return self._values("SELECT DISTINCT position FROM sets")
 
     def of_set(self, table: str, set_key: SetKey) -> list[dict[str, Any]]:

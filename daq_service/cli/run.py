@@ -242,6 +242,7 @@ def _open_rig_to_stay(
 
 
 def _print_acknowledgement(shot_id: int) -> None:
+    """Report to the supervisor that a shot is stored."""
     notify_supervisor("shot_acknowledged", shot_id=shot_id)
 
 

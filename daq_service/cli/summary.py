@@ -101,6 +101,7 @@ def _ultrasonic(catalogue: Catalogue, position: str) -> dict[str, object]:
 
 
 def _scaled(value: float | None, factor: float) -> float | None:
+    """Multiply by a factor; None stays None."""
     return None if value is None else value * factor
 
 
@@ -170,8 +171,10 @@ def _limit(row: dict[str, object]) -> str:
 
 
 def _cell(value: float | None, form: str, unit: str) -> str:
+    """Format a cell of a table with its unit; a dash if there is no value."""
     return "-" if value is None else f"{value:{form}}".strip() + unit
 
 
 def _percent(value: float | None) -> str:
+    """Format a fraction in per cent; a dash if there is no value."""
     return "-" if value is None else f"{100 * value:.1f} %"

@@ -170,10 +170,12 @@ class ProgressReport:
             self(message["event"], **values)
 
     def _hear_beat(self, *, doing: str, **_: object) -> None:
+        """Note what the recorder does, and since when."""
         if doing != self._doing:
             self._doing, self._doing_since_s = doing, self._machine.mono_s()
 
     def _hear_preparing(self, *, what: str) -> None:
+        """Note what is being prepared, and since when."""
         self._preparing.append((what, self._machine.mono_s()))
 
     def _hear_prepared(self, *, what: str) -> None:
@@ -196,11 +198,13 @@ class ProgressReport:
             self._put(self._progress)
 
     def _hear_alarm(self, *, change: str, hour: float, priority: str, message: str, **_: object) -> None:
+        """Print a change of an alarm."""
         is_active = change in ("alarm_raised", "alarm_priority_raised", "alarm_reactivated")
         text = f"ALARM, {priority}" if is_active else change.replace("_", " ")
         self._put(f"hour {hour:.1f}, {text}: {message}", style="bold red" if is_active else "")
 
     def _hear_waits(self, *, reason: str) -> None:
+        """Print why the recorder waits."""
         self._put(f"waiting: {reason}", style="yellow")
 
     def _hear_asked(

@@ -136,6 +136,7 @@ def raise_refusal(response: httpx.Response) -> None:
 
 
 def _foreign_service_error(response: httpx.Response) -> RefusedError:
+    """Return the error for an answer that no service of solimon gives."""
     status = f"{response.url} answers {response.status_code}{proxy_note(response.url)}"
     reason = f"{status}; give the address of a service of solimon"
     return RefusedError(response.status_code, "about:blank", reason)

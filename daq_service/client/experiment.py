@@ -199,5 +199,6 @@ class Experiment:
             )
 
     def _table(self, kind: type[Row], resource: str, **filters: Parameter) -> pd.DataFrame:
+        """Return all pages of a listing as a data frame."""
         items, as_of = self._connection.pages(resource, **filters)
         return frame(kind, items, as_of)

@@ -47,6 +47,7 @@ class ApproveBaseline(TransducerCommand):
         return Refusal(reason, "A baseline waits for a signature where baseline.approval is by_a_person.")
 
     def _forbidden_at(self, position: str, disabled: str | None) -> Refusal | None:
+        """Allow the command at each position that has a baseline."""
         return None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:

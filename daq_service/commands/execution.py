@@ -169,5 +169,6 @@ class CommandExecutor:
 
 
 def _rejected(row: CommandRow, error: Exception) -> Answer:
+    """Log that a command is rejected, and return the answer."""
     log.warning("command %d (%s) rejected: %s", row.id, row.kind, error)
     return "rejected", str(error)

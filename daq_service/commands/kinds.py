@@ -144,6 +144,7 @@ class AnnotationArguments(Strict):
 
     @model_validator(mode="after")
     def _forwards(self) -> Self:
+        """Check that the range does not end before it begins."""
         if self.to_h is not None and self.to_h < self.from_h:
             raise ValueError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")
         return self
@@ -232,9 +233,11 @@ class Command(Strict):
             raise CommandRejectedError(refusal)
 
     def _forbidden(self, facts: Facts) -> Refusal | None:
+        """Return the refusal in the present state; None allows the command. Kinds override it."""
         return None
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str | PendingAnswer:
+        """Execute the command and return its result. Each kind implements it."""
         raise NotImplementedError
 
 
@@ -255,6 +258,7 @@ class FinishNow(Command):
         )
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Run the simulated clock without pacing from now on."""
         assert isinstance(test.clock, SimulatedClock), "another clock forbids it"
         test.clock.finish_now()
         return "no pacing from here on"
@@ -267,6 +271,7 @@ class Stop(Command):
     arguments: NoArguments = NoArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Request the recorder to stop."""
         test.stop.set()
         return "stopping after the shot being taken"
 
@@ -278,6 +283,7 @@ class StoredCommand(Command):
     rows_only = True
 
     def _carry_out(self, test: RunningTest, order_id: int) -> str:
+        """Change the stored rows, as is possible without a recorder, too."""
         return self.carry_out_stored(test)
 
     def carry_out_stored(self, test: StoredTest) -> str:
@@ -421,6 +427,7 @@ class Enable(TransducerCommand):
     kind: Literal["enable"]
 
     def _forbidden_at(self, position: str, disabled: str | None) -> Refusal | None:
+        """Refuse to enable a position that is not disabled."""
         reason, hint = f"{position} is not disabled", "/api/v1/transducers lists which are, and why."
         return Refusal(reason, hint) if disabled is None else None
 
@@ -492,6 +499,7 @@ class SupplyOff(_SupplyCommand):
     arguments: NoteArguments = NoteArguments()
 
     def _carry_out(self, test: RunningTest, order_id: int) -> PendingAnswer:
+        """Switch the supply off; the answer follows when it is off."""
         return test.switch.supply_off(self.author, test.moment().due_h)
 
 

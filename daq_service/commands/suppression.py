@@ -72,6 +72,7 @@ class ShelveAlarm(_AlarmOrder):
     arguments: ShelfArguments
 
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        """Shelve the alarm for some hours."""
         arguments = self.arguments
         return shelve(row, self.author, arguments.reason.strip(), arguments.for_h, moment, time.time_ns())
 
@@ -83,6 +84,7 @@ class UnshelveAlarm(_AlarmOrder):
     arguments: AlarmArguments
 
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        """End the shelving of the alarm."""
         return end_suppression(row, "shelved", self.author, self.arguments.note, moment)
 
 
@@ -93,6 +95,7 @@ class TakeOutOfService(_AlarmOrder):
     arguments: OutOfServiceArguments
 
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        """Take the alarm out of service."""
         return take_out_of_service(row, self.author, self.arguments.reason.strip(), moment)
 
 
@@ -103,4 +106,5 @@ class ReturnToService(_AlarmOrder):
     arguments: AlarmArguments
 
     def _change(self, row: AlarmRow, moment: states.Moment) -> states.Change:
+        """Return the alarm to service."""
         return end_suppression(row, "out_of_service", self.author, self.arguments.note, moment)

@@ -72,4 +72,5 @@ class ClimateLog:
 
 
 def _values(reading: ClimateReading) -> tuple[float, float]:
+    """Return temperature in degrees Celsius and relative humidity."""
     return reading.temperature_c, reading.relative_humidity

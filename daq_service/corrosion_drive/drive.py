@@ -191,6 +191,7 @@ class SupplyLogger:
         )
 
     def _is_limited(self, reading: SupplyReading) -> bool:
+        """Return whether the supply limits its current."""
         limit_a = self._commanded_values()[1]
         return reading.output_on and reading.current_a >= limit_a - self._parameters.readback_tolerance_a
 
@@ -447,4 +448,5 @@ def summary(row: EnvironmentRow) -> dict[str, float | str | None]:
 
 
 def _mean(numbers: Sequence[float]) -> float | None:
+    """Return the mean; None if there are no numbers."""
     return sum(numbers) / len(numbers) if numbers else None

@@ -271,6 +271,7 @@ class DriveProcess:
                 self.leaves = self._reclaim()
 
     def _check_successor(self) -> None:
+        """Note whether another process has taken the supply over."""
         stored = read_stored_state(self._folder)
         self._succeeded = stored is not None and stored.writer != self._writer and stored.output != "unknown"
 
@@ -360,6 +361,7 @@ def _restored(before: StoredState | None, watchdog_timeout_s: float, now_ns: int
 
 
 def _latched(state: DriveState) -> tuple[object, ...]:
+    """Return the parts of a state that must reach the disk at once."""
     return state.tripped, state.latched, state.command, state.must_switch_off
 
 

@@ -124,6 +124,7 @@ class RemoteDrive:
         self._abandon_process()
 
     def _abandon_process(self) -> None:
+        """Drop the child process without waiting for it."""
         if self._process is not None and self._process.poll() is None:
             self._process.returncode = 0  # it outlives this process, or was killed: nothing waits for it
 
@@ -202,6 +203,7 @@ class RemoteDrive:
             self._handle_lost_connection(error)
 
     def _request(self, do: str, **values: object) -> None:
+        """Send a request to the process of the drive."""
         self._send(_Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply()))
 
     def _send(self, request: _Request) -> None:
@@ -227,6 +229,7 @@ class RemoteDrive:
             self._pending = None  # a failed switch-off is retried by the process itself
 
     def _handle_lost_connection(self, error: Exception) -> None:
+        """Log that the connection is lost, and mark the state of the output as unknown."""
         log.log(logging.WARNING if self._newest else logging.DEBUG, "the process of the drive: %s", error)
         self._disconnect("the process of the drive has not answered, what the output does is unknown")
 

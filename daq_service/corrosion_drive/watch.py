@@ -136,6 +136,7 @@ class DriveWatch:
             self._drive.start_window()
 
     def _row(self, set_index: int, due_h: float) -> EnvironmentRow:
+        """Return the row of supply and climate for a set."""
         row = no_supply(set_index, due_h) if self._drive is None else self._drive.row(set_index, due_h)
         return row if self._climate is None else self._climate.add_to_row(row)
 

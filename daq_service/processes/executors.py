@@ -130,16 +130,19 @@ class _ProcessExecutor(Executor):
         self._pool = self._new_pool()
 
     def submit(self, work: Callable[..., T], /, *args: object, **named: object) -> Future[T]:
+        """Submit work; it is repeated if a worker process dies."""
         task = _Task(partial(work, *args, **named))
         self._submit_attempt(task)
         return task
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the worker processes."""
         with self._lock:
             self._closed, pool = True, self._pool
         pool.shutdown(wait, cancel_futures=cancel_futures)
 
     def _new_pool(self) -> ProcessPoolExecutor:
+        """Return new worker processes."""
         context = multiprocessing.get_context("spawn")
         return ProcessPoolExecutor(self._workers, mp_context=context, initializer=start_worker)
 
@@ -184,14 +187,17 @@ class _ClusterExecutor(Executor):
         self.n_workers = sum(client.nthreads().values())
 
     def submit(self, work: Callable[..., T], /, *args: object, **named: object) -> Future[T]:
+        """Submit work to the cluster, one BLAS thread per task."""
         future: Future[T] = self._executor.submit(_in_one_thread, work, *args, **named)
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """End the connection to the cluster."""
         self._executor.shutdown(wait=wait and not cancel_futures)
 
 
 def _in_one_thread(work: Callable[..., T], *args: object, **named: object) -> T:
+    """Run work with one BLAS thread."""
     with one_blas_thread():
         return work(*args, **named)
 

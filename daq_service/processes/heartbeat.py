@@ -153,6 +153,7 @@ def encoded(beat: Beat) -> bytes:
 
 
 def _crc32(values: Mapping[str, Any]) -> int:
+    """Return the CRC-32 of values as JSON."""
     return zlib.crc32(json.dumps(values).encode())
 
 
@@ -212,6 +213,7 @@ def beat_of(values: Mapping[str, Any]) -> Beat:
 
 
 def _optional_int(value: Any) -> int | None:
+    """Return an integer; None stays None."""
     return None if value is None else int(value)
 
 

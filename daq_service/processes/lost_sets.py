@@ -51,6 +51,7 @@ def lost_sets(folder: Path, catalogue: Catalogue, *, newest_rows: int | None = N
 
 
 def _names(sets: Path) -> list[str]:
+    """Return the names of the files of sets; none without the folder."""
     return os.listdir(sets) if sets.is_dir() else []  # noqa: PTH208 - only names are needed
 
 

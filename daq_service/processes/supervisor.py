@@ -175,6 +175,7 @@ class Supervisor:
             self._deliver_messages()
 
     def _deliver_messages(self) -> None:
+        """Deliver the messages of the child processes."""
         while not self._messages.empty():
             self._on_message(*self._messages.get())
 
@@ -353,4 +354,5 @@ class Supervisor:
 
 
 def _end_description(code: int) -> str:
+    """Describe how a process ended."""
     return f"was killed by signal {-code}" if code < 0 else f"ended with exit code {code}"

@@ -91,6 +91,7 @@ class CarriedOver:
         return self._restored(opened)
 
     def _restored(self, opened: OpenSet) -> TakenSet:
+        """Return what an earlier recorder took of a set, with its features."""
         taken = taken_before(opened, self._acquisition.restrike_rule())
         taken.features.update({shot.sequence: self._acquisition.features_of(shot) for shot in taken.shots})
         self._persistence.were_acknowledged(item.sequence for item in opened.records)
@@ -98,6 +99,7 @@ class CarriedOver:
         return taken
 
     def _due_of(self, opened: OpenSet) -> DueSet:
+        """Return the due set of an open set in the journal."""
         due_h = (opened.due_utc_ns - self._epoch_ns) / NS_PER_H
         return DueSet(**opened.set_key._asdict(), due_h=due_h, due_utc_ns=opened.due_utc_ns)
 

@@ -143,6 +143,7 @@ class DueSets:
         return [found[key] for key in sorted(found.keys() - self._started_unscheduled)]
 
     def _idle_unless_requested(self) -> bool:
+        """Return whether to keep waiting: nothing has been requested."""
         return self._waiting.between_sets() and not self._requested()
 
     def _unscheduled_before(self, scheduled: DueSet | None) -> Iterator[DueSet]:

@@ -76,6 +76,7 @@ class Persistence:
         return True
 
     def _sync(self) -> None:
+        """Make the journal durable and report the acknowledged shots."""
         self._report_ids(self._archive.sync())
 
     def _report_ids(self, shot_ids: Iterable[int]) -> None:

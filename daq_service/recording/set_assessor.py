@@ -413,6 +413,7 @@ class PositionAssessors:
 
     @states.setter
     def states(self, states: Mapping[str, object]) -> None:
+        """Set the state of each position's assessor."""
         for position, state in states.items():
             self[position].state = state
 

@@ -94,5 +94,6 @@ class Waiting:
         self.activity.beat(at_once=True)
 
     def _report_trouble(self, trouble: Trouble | None) -> None:
+        """Raise or end the storage alarm and show it in the heartbeat."""
         self.storage.report_trouble(trouble)
         self.activity.beat()

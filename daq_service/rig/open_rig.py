@@ -217,13 +217,16 @@ class _AnnouncedDigitizer:
     announce: Announce
 
     def arm(self, key: ShotKey) -> None:
+        """Announce the strike, then arm."""
         self.announce(key)
         self.digitizer.arm(key)
 
     def read(self, timeout_s: float) -> Acquired:
+        """Return the record."""
         return self.digitizer.read(timeout_s)
 
     def disarm(self) -> None:
+        """Stop waiting for the strike."""
         self.digitizer.disarm()
 
 
@@ -233,5 +236,6 @@ class _AnnouncedPulseEcho:
     announce: Announce
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
+        """Announce the echo, then acquire it."""
         self.announce(key)
         return self.pulse_echo.acquire(key, timeout_s)

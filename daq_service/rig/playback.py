@@ -116,6 +116,7 @@ class ArchivedShots:
         return None
 
     def _moments_of(self, set_key: SetKey) -> list[int]:
+        """Return the times of the records of a set, ns."""
         if set_key not in self._moments:
             self._shots.records_of_set(set_key)
         return self._moments[set_key]
@@ -263,10 +264,12 @@ def _open(parameters: PlaybackParameters, opening: Opening) -> Iterator[Opened]:
 
 
 def _check(parameters: PlaybackParameters, opening: Opening) -> Iterator[Finding]:
+    """Yield that a playback has no boards to check."""
     yield Finding(subject="rig", check="", state="ok", detail="playback: no boards to look at")
 
 
 def _packages(parameters: PlaybackParameters) -> tuple[str, ...]:
+    """Return the packages that the format needs."""
     return ("npTDMS",) if parameters.format == "tdms" else ()
 
 

@@ -94,6 +94,7 @@ def _describe(item: Item, assignment: str, description: str) -> None:
 
 
 def _comment(text: str, width: int = WIDTH) -> list[str]:
+    """Wrap a text as comment lines."""
     return [f"# {line}" for line in textwrap.wrap(text, width - 2, break_on_hyphens=False)]
 
 

@@ -65,6 +65,7 @@ def spreadsheet_cell(text: str) -> str:
 
 
 def _escape(match: re.Match[str]) -> str:
+    """Return a character as its escape sequence."""
     return ascii(match[0])[1:-1]
 
 

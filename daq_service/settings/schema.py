@@ -23,6 +23,7 @@ log = logging.getLogger(__name__)
 
 @cache
 def _classes(module: ModuleType | None) -> dict[str, ast.ClassDef]:
+    """Return the definitions of the classes in a module by name."""
     tree = ast.parse(inspect.getsource(module)) if module else ast.Module([], [])
     return {node.name: node for node in tree.body if isinstance(node, ast.ClassDef)}
 
@@ -54,9 +55,11 @@ class _Described(GenerateJsonSchema):
         return table
 
     def model_schema(self, schema: ModelSchema) -> JsonSchemaValue:
+        """Return the schema of a model with its attribute docstrings."""
         return self._described(super().model_schema(schema), schema["cls"])
 
     def dataclass_schema(self, schema: DataclassSchema) -> JsonSchemaValue:
+        """Return the schema of a dataclass with its attribute docstrings."""
         return self._described(super().dataclass_schema(schema), schema["cls"])
 
 
@@ -103,6 +106,7 @@ def describe(path: Sequence[str]) -> str:
 
 @cache
 def _schema() -> JsonSchemaValue:
+    """Return the JSON schema of the settings."""
     return settings_schema()
 
 

@@ -158,8 +158,10 @@ def _current_path(path: KeyPath) -> KeyPath | None:
 
 
 def _path(location: tuple[int | str, ...]) -> KeyPath:
+    """Return the location of an error as the path of a key."""
     return tuple(str(part) for part in location)
 
 
 def _value(flat: Mapping[KeyPath, object], path: KeyPath) -> str:
+    """Return a stored value as JSON, or that there is none."""
     return json.dumps(flat[path]) if path in flat else "no value"

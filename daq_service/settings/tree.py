@@ -88,6 +88,7 @@ class ClockSettings(Section):
     @field_validator("epoch")
     @classmethod
     def _is_a_time(cls, text: str) -> str:
+        """Check that the epoch is a time."""
         parse_utc(text)
         return text
 
@@ -256,6 +257,7 @@ class AlarmSettings(Section):
     @field_validator("kinds", mode="before")
     @classmethod
     def _current_kinds(cls, kinds: object) -> object:
+        """Accept earlier names of alarm kinds."""
         if not isinstance(kinds, Mapping):
             return kinds
         return {EARLIER_ALARM_KINDS.get(kind, kind): rule for kind, rule in kinds.items()}
@@ -263,12 +265,14 @@ class AlarmSettings(Section):
     @field_validator("kinds")
     @classmethod
     def _kinds_may_wait(cls, kinds: dict[str, AlarmKindSettings]) -> dict[str, AlarmKindSettings]:
+        """Check that each kind may have its delays."""
         for kind, rule in kinds.items():
             rule.require_fits(kind)
         return kinds
 
     @model_validator(mode="after")
     def _k_of_n(self) -> Self:
+        """Check that k is at most n."""
         if self.k > self.n:
             raise ValueError(f"k is {self.k}; it must be at most n = {self.n}")
         return self

@@ -47,6 +47,7 @@ class WebSettings(BaseModel):
     @field_validator("host", "proxy")
     @classmethod
     def _is_an_address(cls, text: str) -> str:
+        """Check that the text is an IP address, if it is given."""
         if text and text not in LOOPBACK and not is_address(text):
             raise ValueError("give an IP address of a computer; names belong into web.host_names")
         return text
@@ -54,6 +55,7 @@ class WebSettings(BaseModel):
     @field_validator("host")
     @classmethod
     def _is_somewhere(cls, text: str) -> str:
+        """Check that an address is given."""
         if not text:
             raise ValueError("give an IP address of this computer, for example 127.0.0.1")
         return text

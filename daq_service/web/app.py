@@ -37,6 +37,7 @@ SMALL_BYTES = 2048
 
 @asynccontextmanager
 async def _lifespan(app: FastAPI) -> AsyncIterator[None]:
+    """Run the background tasks as long as the application runs."""
     async with context_of(app).run_background_tasks():
         yield
 

@@ -70,6 +70,7 @@ def assets() -> dict[str, Asset]:
 
 
 def _preloads(names: Iterable[str]) -> bytes:
+    """Return the links that load scripts early."""
     return "".join(f'<link rel="modulepreload" href="{PLACE}{name}">' for name in names).encode()
 
 

@@ -75,19 +75,23 @@ class BoundedHttp(HttpToolsProtocol):
                 self._refuse(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE)
 
     def _await_request(self) -> None:
+        """Start to wait for the next request."""
         self._headers_bytes, self._in_headers = 0, True
         self._since_s, self._n_checks = time.monotonic(), 0
         self._schedule_check()
 
     def _schedule_check(self) -> None:
+        """Schedule the next check of the wait."""
         self._waiting = self.loop.call_later(min(LOOK_EVERY_S, HEADERS_WITHIN_S), self._check_waiting)
 
     def _stop_waiting(self) -> None:
+        """Cancel the check of the wait."""
         if self._waiting is not None:
             self._waiting.cancel()
             self._waiting = None
 
     def _is_answering(self) -> bool:
+        """Return whether an answer is under way."""
         return self.cycle is not None and not self.cycle.response_complete
 
     def _all_waiting(self) -> list[BoundedHttp]:

@@ -191,6 +191,7 @@ class Freshness(freshness.Freshness):
 
     @cached_property
     def _baselines(self) -> dict[int, BaselineRow]:
+        """Return all baselines by id."""
         return self._catalogue.baselines_by_id()
 
     def as_of(self) -> dict[str, object]:

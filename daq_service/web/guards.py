@@ -125,10 +125,12 @@ def _replay_body(body: bytes, receive: Receive) -> Receive:
 
 
 def _too_large(size: str) -> Problem:
+    """Return the error of a body that is too large."""
     return Problem("body-too-large", f"The body has {size} bytes; the limit is {LARGEST_BODY_BYTES}.")
 
 
 def _too_slow() -> Problem:
+    """Return the error of a body that arrives too slowly."""
     return Problem("body-too-slow", f"The body was not whole within {BODY_WITHIN_S:g} s.")
 
 

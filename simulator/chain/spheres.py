@@ -219,6 +219,7 @@ def impact_speed_m_per_s(drop_height_m: float) -> float:
 
 
 def _surface(body: Body) -> Surface:
+    """Return the contact surface of a sphere."""
     return Surface(
         radius_m=body.radius_m, youngs_modulus_pa=body.youngs_modulus_pa, poisson_ratio=body.poisson_ratio
     )

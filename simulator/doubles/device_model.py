@@ -378,6 +378,7 @@ class Brain:
             }
 
     def _line(self, serial_number: int, counter: int) -> str:
+        """Return the name of a counter's output line."""
         kind = self.bench.devices.by_serial(serial_number).kind
         return f"{serial_number}/{kind.counter_terminals[counter]}"
 

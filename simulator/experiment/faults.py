@@ -128,6 +128,7 @@ def _grown_fraction(onset_h: float, ramp_h: float, hour_h: float) -> float:
 
 
 def _second_strike(faults: FaultParameters, seed: int, key: ShotKey) -> tuple[float | None, float]:
+    """Draw delay and height of the striker's second impact; None without one."""
     random = generator(seed, Purpose.DOUBLE_STRIKE, key=key)
     if random.random() >= faults.double.probability:
         return None, 1.0
@@ -188,6 +189,7 @@ def interference_of_shot(
 
 
 def _hum_phase_rad(hum: MainsHumFault, seed: int, key: ShotKey) -> float:
+    """Draw the phase of the mains hum at a strike."""
     if hum.amplitude_v == 0.0:
         return 0.0
     return float(generator(seed, Purpose.MAINS_HUM, key=key).uniform(0.0, 2.0 * math.pi))

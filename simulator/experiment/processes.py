@@ -27,6 +27,7 @@ RESEAT_BLOCK_H = 1_000.0
 
 
 def _read_only(drawn: FloatArray) -> FloatArray:
+    """Make an array read-only."""
     drawn.flags.writeable = False
     return drawn
 

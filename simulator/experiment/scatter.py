@@ -108,6 +108,7 @@ def scattered_strike(
 
 @lru_cache(maxsize=256)
 def _set_draws(seed: int, set_key: ShotKey) -> tuple[float, float]:
+    """Draw the two numbers that all shots of a set share."""
     return _unit_draws(generator(seed, Purpose.SET_SCATTER, key=set_key))
 
 

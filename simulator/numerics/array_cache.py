@@ -145,10 +145,12 @@ def write_arrays(
 
 
 def _as_float64(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+    """Return arrays as C-contiguous doubles."""
     return {name: np.asarray(values, dtype=np.float64, order="C") for name, values in arrays.items()}
 
 
 def _encoded(arrays: Mapping[str, FloatArray]) -> bytes:
+    """Encode arrays with a header of names and shapes."""
     header = json.dumps([[name, values.shape] for name, values in arrays.items()]).encode()
     before = len(MAGIC) + DIGEST_BYTES + 4
     header += b" " * (-(before + len(header)) % ALIGNMENT)
@@ -188,6 +190,7 @@ def _entries(folder: Path) -> list[os.DirEntry[str]]:
 
 
 def _status(entry: os.DirEntry[str]) -> os.stat_result | None:
+    """Return the status of a file; None if another process removed it."""
     try:
         return entry.stat()
     except OSError as error:  # renamed or removed by another process
@@ -196,6 +199,7 @@ def _status(entry: os.DirEntry[str]) -> os.stat_result | None:
 
 
 def _discard(path: Path) -> None:
+    """Remove a file; log a failure."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:

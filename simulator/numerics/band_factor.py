@@ -54,6 +54,7 @@ class _LowerEntries:
 
     @classmethod
     def of(cls, matrix: sparse.spmatrix, place: IntArray) -> _LowerEntries:
+        """Return the entries of the lower triangle in the new order."""
         entries = matrix.tocoo()
         row, column = place[entries.row], place[entries.col]
         lower = row >= column
@@ -117,6 +118,7 @@ class FactorFamily:
         return np.asarray(band_solve(factor, right[self._order])[self._place])
 
     def _band(self, entries: list[_LowerEntries], s: float, size: int) -> FloatArray:
+        """Return the banded matrix at a parameter."""
         band = np.zeros((self._bandwidth + 1, size), order="F")
         for power, one in enumerate(entries):
             band[one.below, one.column] += s**power * one.value

@@ -73,5 +73,6 @@ def generator(
 
 @lru_cache(maxsize=256)
 def _name_words(name: str) -> tuple[int, int]:
+    """Return two 32-bit words that stand for a name in a seed."""
     digest = hashlib.blake2b(name.encode(), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")

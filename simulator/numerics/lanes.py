@@ -49,15 +49,18 @@ register_model(Lanes)(_LanesModel)
 
 
 def _vector(lanes: Lanes) -> ir.VectorType:
+    """Return the LLVM type of a vector of lanes."""
     return ir.VectorType(ir.DoubleType(), lanes.width)
 
 
 def _intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
+    """Make a function an intrinsic of Numba."""
     intrinsic: Callable[..., Any] = numba_intrinsic(prefer_literal=True)(function)
     return intrinsic
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, start: Any, lanes: Lanes) -> Any:
+    """Return the address of some lanes in an array."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(cgutils.gep_inbounds(builder, data, start), _vector(lanes).as_pointer())
 
@@ -97,6 +100,7 @@ def broadcast(typing: Any, number: Any, width: Any) -> Any:
 
 
 def _splat(builder: Any, number: Any, lanes: Lanes) -> Any:
+    """Return a vector with the number in each lane."""
     vector = builder.insert_element(ir.Constant(_vector(lanes), ir.Undefined), number, ir.IntType(32)(0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), lanes.width), [0] * lanes.width)
     return builder.shuffle_vector(vector, ir.Constant(_vector(lanes), ir.Undefined), mask)
@@ -155,15 +159,18 @@ absolute = _lane_intrinsic(1, _call_of("llvm.fabs"))
 
 
 def _positive(builder: Any, values: Any) -> Any:
+    """Return the positive part of each lane."""
     zero = ir.Constant(values[0].type, [0.0] * values[0].type.count)
     return builder.select(builder.fcmp_ordered(">", values[0], zero), values[0], zero)
 
 
 def _where_greater(builder: Any, values: Any) -> Any:
+    """Return the third values where the first exceed the second, else the fourth."""
     return builder.select(builder.fcmp_ordered(">", values[0], values[1]), values[2], values[3])
 
 
 def _where_not_less_or_equal(builder: Any, values: Any) -> Any:
+    """Return the third values unless the first are at most the second, else the fourth."""
     return builder.select(builder.fcmp_unordered(">", values[0], values[1]), values[2], values[3])
 
 

@@ -34,11 +34,13 @@ class _Compilations(event.Listener):
         self._report, self._depth = report, 0
 
     def on_start(self, event: object) -> None:
+        """Report that a compilation starts, unless one is under way."""
         self._depth += 1
         if self._depth == 1:
             self._report(True)
 
     def on_end(self, event: object) -> None:
+        """Report that the compilation has ended."""
         self._depth -= 1
         if self._depth == 0:
             self._report(False)

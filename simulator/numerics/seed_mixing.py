@@ -42,6 +42,7 @@ class SeedWords(ISeedSequence):
 
 @compiled(error_model="numpy")
 def _hashed(value: np.uint32, before: np.uint32, after: np.uint32) -> Any:
+    """Mix a value, as NumPy's SeedSequence does."""
     value = np.uint32((value ^ before) * after)
     return value ^ (value >> np.uint32(16))
 

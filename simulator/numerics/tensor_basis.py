@@ -102,6 +102,7 @@ def lagrange(degree: int, at: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def _reference_matrices(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return mass, coupling and stiffness matrices of an element of this degree on [-1, 1]."""
     points, weights = legendre.leggauss(degree + 1)
     value, slope = lagrange(degree, points)
     weighted_value, weighted_slope = weights[:, None] * value, weights[:, None] * slope

@@ -159,6 +159,7 @@ class ChainParameters:
         return replace(self, radius_m=self.radius_m * radius_factor, spheres=spheres)
 
     def _mass_kg(self, other: SphereParameters) -> float:
+        """Return the mass of another sphere: given, by its density, or by its radius."""
         if other.mass_kg is not None:
             return other.mass_kg
         radius = self.radius_m if other.radius_m is None else other.radius_m
@@ -201,10 +202,12 @@ class ChainParameters:
 
 
 def _volume_m3(radius_m: float) -> float:
+    """Return the volume of a sphere."""
     return 4.0 / 3.0 * math.pi * radius_m**3
 
 
 def _check_density(name: str, mass_kg: float, radius_m: float) -> None:
+    """Check that mass and radius give a plausible density."""
     density_kg_per_m3 = mass_kg / _volume_m3(radius_m)
     if not 1.0 <= density_kg_per_m3 <= 1e5:
         raise ValueError(

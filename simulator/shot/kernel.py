@@ -379,6 +379,7 @@ def _advance_modes_of_many(
 
 @_step
 def _sum_of_eight(sums: FloatArray, width: int) -> Any:
+    """Return the sum of eight vectors in a fixed order."""
     front = load(sums, 0, width) + load(sums, width, width)
     front = front + (load(sums, 2 * width, width) + load(sums, 3 * width, width))
     back = load(sums, 4 * width, width) + load(sums, 5 * width, width)

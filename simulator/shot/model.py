@@ -335,6 +335,7 @@ class ShotModel:
     def _over_wall(
         self, chains: list[Chain], depth: float, modulus: float, contact_forces: bool
     ) -> list[ShotForce]:
+
         def specimen(step: float, wide: bool) -> Propagator:
             return self._propagator(depth, step, wide, modulus)
 
@@ -447,12 +448,14 @@ class ShotModel:
 
 
 def _modes_in_one_thread(plate: ModalPlate | None, depth: float) -> PlateModes:
+    """Return the modes of a plate at a depth, computed with one BLAS thread."""
     assert plate is not None, "an analytic anchor has no modes"
     with one_blas_thread():
         return plate.modes(depth)
 
 
 def _specimen_without_modes(plate: PlateParameters) -> Propagator:
+    """Return the response of a model without modes: a rigid wall or an infinite thin plate."""
     if plate.model == "rigid_wall":
         return UNMOVED
     impedance = thin_plate_impedance_n_s_per_m(
@@ -462,12 +465,14 @@ def _specimen_without_modes(plate: PlateParameters) -> Propagator:
 
 
 def _without_last(values: FloatArray) -> FloatArray:
+    """Return a copy with zero as last value."""
     changed = values.copy()
     changed[-1] = 0.0
     return changed
 
 
 def _no_patch(model: str, depth: float) -> str:
+    """Return the message that a plate model has no patch."""
     return (
         f"depth_fraction is {depth}, but a plate of model {model} has no patch; "
         f"use depth 0 or plate.model = 'mindlin' or 'solid'"

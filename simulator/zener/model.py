@@ -367,6 +367,7 @@ def chain_time_of_flight_s(
 
 
 def _check_inelasticity(value: float, largest: float, remedy: str) -> None:
+    """Check that the inelasticity lies in the range."""
     if not 0.0 <= value <= largest:
         raise SpecimenError(
             f"the inelasticity is {value:.6g}; it must lie between 0 and {largest:g}: {remedy}"
@@ -374,11 +375,13 @@ def _check_inelasticity(value: float, largest: float, remedy: str) -> None:
 
 
 def _check_positive(name: str, value: float) -> None:
+    """Check that a value is positive and finite."""
     if not 0.0 < value < math.inf:
         raise ValueError(f"{name} is {value}; it must be a finite number greater than 0")
 
 
 def _check_restitution(value: float) -> None:
+    """Check that a restitution lies between 0 and 1."""
     # A numerical e of 1 may lie above it by as much as it is known.
     if not 0.0 < value <= 1.0 + AGREEMENT:
         raise ValueError(f"restitution is {value}; it must be greater than 0 and at most 1")

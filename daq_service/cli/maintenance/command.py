@@ -139,6 +139,7 @@ def run_export(
 
 
 def _print_files(files: Sequence[ExportedTable], *, as_json: bool) -> int:
+    """Print the exported files."""
     lines = [f"{item.file}: table {item.table} ({item.n_bytes / 1e6:.1f} MB)" for item in files]
     print_result({"ok": True, "files": list(map(asdict, files))}, lines, as_json=as_json)
     return EXIT_OK
@@ -153,10 +154,12 @@ def run_acceptance_report(*, data_dir: Path, **options: Any) -> int:
 
 
 def _damage_lines(damage: Sequence[Finding]) -> list[str]:
+    """Return a line for each finding."""
     return [f"{finding.kind:<18} {finding.file}: {finding.description}" for finding in damage]
 
 
 def _listed(counts: dict[str, int]) -> str:
+    """Join counts with their names."""
     return ", ".join(f"{number} {name.replace('_', ' ')}" for name, number in counts.items())
 
 

@@ -108,10 +108,12 @@ def _worst(columns: Mapping[str, Sequence[float]], approximate: str, exact: str)
 
 
 def _over_isw(chain: ChainParameters) -> item.Job:
+    """Return the simulation of a chain over the height of the incident wave."""
     return item.Job(function=models.pulses_over_isw, arguments=(chain, _PLATE, models.ISW_STEPS))
 
 
 def _zener_over_isw(*, closed_form: bool) -> item.Job:
+    """Return Zener's model over the height of the incident wave."""
     return item.Job(function=models.zener_over_isw, arguments=(models.ISW_STEPS, closed_form))
 
 
@@ -179,6 +181,7 @@ def _isw_found(curves: _Curves) -> dict[str, item.Found]:
 def _over_depth(
     chain: ChainParameters, plate: PlateParameters, patch: CorrosionParameters, depths: tuple[float, ...]
 ) -> item.Job:
+    """Return the simulation of a chain over the depth of a patch."""
     return item.Job(function=models.pulses_over_depth, arguments=(chain, plate, patch, depths))
 
 

@@ -176,6 +176,7 @@ def _tally_text(counts: Mapping[str, int]) -> str:
 
 
 def _row_dict(row: Row) -> dict[str, object]:
+    """Return a row for JSON, with the deviation as it is shown."""
     return {**asdict(row), "deviation_shown": row.deviation_shown}
 
 

@@ -27,6 +27,7 @@ _PLATE = PlateParameters()
 
 
 def _mirrored(lines_m: FloatArray) -> FloatArray:
+    """Return grid lines on both sides of the centre, in mm."""
     return 1e3 * np.concatenate((-lines_m[:0:-1], lines_m))
 
 
@@ -51,6 +52,7 @@ def _grid(
 
 
 def _patch(axis: Axes, from_mm: float, size_mm: float) -> None:
+    """Draw the outline of the patch."""
     corner = (from_mm, from_mm)
     axis.add_patch(Rectangle(corner, size_mm, size_mm, fill=False, ec=VERMILLION, lw=1.4, zorder=3))
 

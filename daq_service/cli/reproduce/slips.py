@@ -31,14 +31,17 @@ _PRISTINE = (0.0,)
 
 
 def _undamped(chain: ChainParameters) -> ChainParameters:
+    """Return the chain without dashpots."""
     return replace(chain, damping_n_s_per_m=0.0, contact_damping_n_s_per_m=0.0)
 
 
 def _shot(chain: ChainParameters, plate: PlateParameters = _PLATE) -> Job:
+    """Return the simulation of one shot on the pristine plate."""
     return Job(function=models.pulses_over_depth, arguments=(chain, plate, _PATCH, _PRISTINE))
 
 
 def _on_element(size_m: float) -> Job:
+    """Return the simulation of one shot with the contact on an element of this size."""
     return _shot(_DISK, replace(_PLATE, contact_element_m=size_m))
 
 
@@ -68,6 +71,7 @@ _JOBS = {
 
 
 def _one(material: Material, name: str) -> models.Pulse:
+    """Return the only shot of a simulation."""
     shot: models.Pulse = material.result(name)[0]
     return shot
 
@@ -96,6 +100,7 @@ def _bracket(_: Material) -> str:
 
 
 def _shear(_: Material) -> str:
+    """Return the finding on the printed shear modulus."""
     E, nu = _PLATE.youngs_modulus_pa, _PLATE.poisson_ratio
     right_gpa = shear_modulus_pa(E, nu) / 1e9
     return f"printed {E / (1.0 + nu) / 1e9:.1f} GPa; the shear modulus is {right_gpa:.1f} GPa"
@@ -209,6 +214,7 @@ def _poisson(material: Material) -> str:
 
 
 def _energy(_: Material) -> str:
+    """Return the finding on the energy of the measured amplitude ratio."""
     ar = printed("fig12", "ar_measured")
     return f"energy goes with F^(5/3): an AR of {ar:g} is {ar ** (5.0 / 3.0):.2f} of the energy"
 
@@ -244,6 +250,7 @@ def _salt_water(material: Material) -> str:
 
 
 def _nothing(_: Material) -> str:
+    """Return that the slip needs no computation."""
     return "nothing to compute"
 
 

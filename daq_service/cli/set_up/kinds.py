@@ -259,6 +259,7 @@ class Kinds:
             self.parameters[digitizer][LEVEL] = proposed_v
 
     def _print_checks(self, checks: Iterable[Check]) -> None:
+        """Print the results of an instrument's checks."""
         for check in checks:
             remedy = f"; {check.remedy}" if check.remedy else ""
             self.dialogue.report(f"{check.state:<6} {check.name}: {check.found}{remedy}")

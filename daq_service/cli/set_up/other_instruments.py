@@ -79,6 +79,7 @@ def _ask_for_address(
 
 
 def _probes_at_a(address: str) -> dict[str, ProbeWiring]:
+    """Return the wiring of one probe at position A."""
     return _probes({"A": address})
 
 
@@ -122,4 +123,5 @@ def _expected(identity: Mapping[str, str]) -> str:
 
 
 def _plain(parameters: ProbeWiring | SupplyParameters | ClimateParameters) -> Tables:
+    """Return parameters as a table, without those that are not set."""
     return {name: value for name, value in asdict(parameters).items() if value is not None}

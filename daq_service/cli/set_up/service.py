@@ -57,6 +57,7 @@ def write_services(
 
 
 def _this_user() -> str:
+    """Return the name of the user, with the domain on Windows."""
     domain = os.environ.get("USERDOMAIN")
     return f"{domain}\\{getpass.getuser()}" if domain else getpass.getuser()
 
@@ -105,6 +106,7 @@ def systemd_units(
 
 
 def _template(file: str) -> str:
+    """Return the text of a template."""
     return (Path(__file__).parent / "services" / file).read_text(encoding="utf-8")
 
 
@@ -115,6 +117,7 @@ def _command(command: str, config: PurePath, folder: PurePath) -> list[str]:
 
 
 def _plain(text: str) -> str:
+    """Escape per cent signs, which systemd would expand."""
     return text.replace("%", "%%")
 
 

@@ -53,6 +53,7 @@ def run_revoke(*, name: str, config: Path | None, data_dir: Path | None, as_json
 
 
 def _places(config: Path | None, data_dir: Path | None) -> tuple[Path, Audit]:
+    """Return the file of tokens and the audit log of a test."""
     settings, folder = settings_of_folder(config, data_dir)
     prepare_data_folder(folder)
     return tokens_file(settings.web, folder), Audit(folder)

@@ -125,6 +125,7 @@ def coupled_shot(chain: ChainParameters, plate: PlateParameters, corrosion: Corr
 
 @lru_cache(maxsize=PREPARED_KEPT)
 def _model(chain: ChainParameters, plate: PlateParameters, outline: CorrosionParameters) -> ShotModel:
+    """Build the model of a chain on a plate whose reduction is cached."""
     # One for each chain: step and length of a shot follow from its drop height and tilt, too.
     return ShotModel(chain, plate, outline, prepared_plate=_plate(plate, outline))
 
@@ -138,6 +139,7 @@ class _CachedPlate:
 
 @lru_cache(maxsize=PREPARED_KEPT)
 def _plate(plate: PlateParameters, outline: CorrosionParameters) -> _CachedPlate | None:
+    """Return the cached modes of a plate; None for a model without modes."""
     modal = modal_plate(plate, outline, DEFAULT_CACHE_FOLDER)
     return None if modal is None else _CachedPlate(modal)
 

@@ -149,4 +149,5 @@ def _value(text: str) -> object:
 
 
 def _too_many(text: str) -> str:
+    """Return the message that a sweep has too many values."""
     return f"--sweep is {text!r}: more than {LARGEST_COUNT} values; make it coarser or split the sweep"

@@ -104,6 +104,7 @@ def content_hash(plan: Plan, outcomes: Sequence[Outcome]) -> str:
 
 
 def _line(cells: list[object]) -> bytes:
+    """Encode a row as a line of JSON."""
     return f"{json_text(cells)}\n".encode()
 
 

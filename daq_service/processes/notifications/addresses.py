@@ -102,4 +102,5 @@ def _configured_text(name: str, key: str, file: str, variable: str, environment:
 
 
 def _invalid(name: str, problem: str) -> UsageError:
+    """Return the error of an invalid receiver."""
     return UsageError(f"notifications.receivers.{name}: {problem}")

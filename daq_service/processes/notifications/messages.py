@@ -218,11 +218,13 @@ def trial_message(test: Test, receiver: str, author: str, *, now_ns: int) -> Mes
 
 
 def _headline(item: AlarmChange) -> str:
+    """Return the first line of a message about an alarm."""
     at = f" at {item.position}" if item.position else ""
     return f"{item.priority.upper()} {item.kind}{at} {_CHANGE_TEXTS[item.change]}"
 
 
 def _counts_text(changes: Sequence[AlarmChange]) -> str:
+    """Return the counts of changes by priority and kind, the highest priority first."""
     counts = Counter((item.priority, item.change) for item in changes)
     order = sorted(counts, key=lambda pair: -PRIORITIES.index(pair[0]))
     return ", ".join(f"{counts[pair]} {pair[0]} {pair[1]}" for pair in order)

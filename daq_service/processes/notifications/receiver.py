@@ -69,6 +69,7 @@ class _OpenMessage:
 
     @property
     def event_ids(self) -> list[int]:
+        """Return the ids of the events in the message."""
         return [change.event_id for change in self.changes]
 
 
@@ -167,6 +168,7 @@ class ReceiverQueue:
     # Incoming events
 
     def _read_events(self) -> None:
+        """Read new events of alarms, up to as many as may wait, and sort out those that are not sent."""
         if len(self._waiting) >= MOST_WAITING:
             return
         rows = self._source.alarm_events(self._last_read_id, PAGE_EVENTS)
@@ -278,6 +280,7 @@ class ReceiverQueue:
     # Heartbeats
 
     def _send_heartbeat(self) -> None:
+        """Send a heartbeat message when one is due; withhold it while the recorder does not respond."""
         every_s = self._receiver.heartbeat_s
         if every_s is None or self._machine.mono_s() < self._heartbeat_due_s:
             return
@@ -296,7 +299,6 @@ class ReceiverQueue:
 
     @property
     def _logs_each_heartbeat(self) -> bool:
-        """Return whether each heartbeat is logged; long intervals are, so that they hold across restarts."""
         return (self._receiver.heartbeat_s or 0.0) >= SHORTEST_FOR_PEOPLE_S
 
     def _resume_heartbeat(self) -> None:
@@ -314,7 +316,6 @@ class ReceiverQueue:
     # Progress
 
     def _resume(self, event_ids: list[int]) -> None:
-        """Restore a message that a crash may have interrupted before its result was logged."""
         found = map(messages.alarm_change_of, self._source.events(event_ids))
         changes = [change for change in found if change is not None]
         if changes:
@@ -348,6 +349,7 @@ class ReceiverQueue:
         message: _OpenMessage | None = None,
         with_progress: bool = True,
     ) -> None:
+        """Append a delivery to the log."""
         self._delivery_log.append(
             Delivery(
                 receiver=self.name,
@@ -362,7 +364,6 @@ class ReceiverQueue:
         )
 
     def _pause_s(self) -> float:
-        """Return the time until something is due, at most until the next read of the catalogue, s."""
         now_s = self._machine.mono_s()
         due = [LOOK_EVERY_S + now_s]
         if self._current is not None:

@@ -100,5 +100,6 @@ class WaitingChanges:
         return [item.event_id for item in changes]
 
     def _group_end_s(self, rule: int) -> float | None:
+        """Return when the waiting changes of a rule are sent, s of monotonic time; None if there are none."""
         first_s = min((item.due_s for item in self._items.values() if item.rule == rule), default=None)
         return None if first_s is None else first_s + self._rules[rule].group_s

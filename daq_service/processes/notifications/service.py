@@ -163,6 +163,7 @@ class Notifications:
             sender.join()
 
     def _web_responds(self) -> bool:
+        """Return whether another web process of this test notifies."""
         return self._is_standby and web_state(self._folder) == "responding"
 
     def _still_owns(self, lock: IO[bytes]) -> bool:
@@ -194,6 +195,7 @@ class Notifications:
             released.wait(pause_s)
 
     def _report_problem(self, problem: str) -> None:
+        """Log why nothing is notified now, once per reason."""
         if self.queues and problem != self.silent_reason:
             log.warning("no notifications now, tried again: %s", problem)
             self.silent_reason = problem
@@ -201,6 +203,7 @@ class Notifications:
 
 @lru_cache(maxsize=8)
 def _warn_once(message: str) -> None:
+    """Log a warning; repeated ones are cached."""
     log.warning("%s", message)
 
 

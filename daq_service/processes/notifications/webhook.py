@@ -83,6 +83,7 @@ class Cut:
 
 
 def _shut(connection: socket.socket) -> None:
+    """Shut a connection down so that a thread that reads from it returns."""
     with suppress(OSError):  # not connected yet, or already closed
         # Not the method of the TLS object, which would wait for its reader.
         socket.socket.shutdown(connection, socket.SHUT_RDWR)

@@ -91,10 +91,12 @@ def _replaced(path: KeyPath, given: Mapping[KeyPath, Any]) -> bool:
 
 
 def _names(table: str) -> frozenset[str]:
+    """Return the keys of a table that affect the assessment."""
     return ASSESSMENT_KEYS[table] or frozenset(_table(table).model_fields)
 
 
 def _table(name: str) -> type[BaseModel]:
+    """Return the class of a table of the settings."""
     kind = Settings.model_fields[name].annotation
     assert isinstance(kind, type) and issubclass(kind, BaseModel), "a table of the configuration"  # noqa: PT018
     return kind

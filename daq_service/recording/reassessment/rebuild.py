@@ -170,6 +170,7 @@ def _replace(folder: Path, place: Path) -> str:
 
 
 def _sync(path: Path) -> None:
+    """Make the content of a file durable."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 

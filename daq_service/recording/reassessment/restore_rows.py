@@ -304,6 +304,7 @@ class _Restoration:
         return expected or found
 
     def _add_environment(self, transaction: SetCommit, record: SetRecord) -> None:
+        """Add the row of supply and climate from a set's file."""
         if record.environment and not transaction.environment and not record.unscheduled_index:
             row = EnvironmentRow(set_index=record.set_index, due_h=record.due_h, **record.environment)  # type: ignore[arg-type] # its columns
             transaction.environment.append(row)
@@ -371,6 +372,7 @@ def _free_ids(
 
 
 def _key(event: EventRow) -> tuple[str, str, str | None]:
+    """Return what identifies an event among those of a set."""
     return event.topic, event.kind, event.position
 
 
@@ -408,6 +410,7 @@ def rows_of_tables(tables: SetTables, *, due_h: float) -> tuple[list[ShotRow], l
 
 
 def _finite_or_none(value: float | None) -> float | None:
+    """Return the value, or None if it is missing or not finite."""
     return value if value is not None and math.isfinite(value) else None
 
 
@@ -452,6 +455,7 @@ def _merged(computed: Sequence[SetRow], stored: Sequence[SetRow]) -> list[SetRow
 
 
 def _rows(kind: type[R], events: Sequence[EventRow]) -> list[R]:
+    """Return the rows of one kind that events contain."""
     return [row_of(kind, event) for event in events if _STORED_ROWS.get(event.kind) is kind]
 
 
@@ -472,4 +476,5 @@ def _stored_columns(stored: EventRow, computed: EventRow) -> bytes:
 
 
 def _json(payload: Mapping[str, Any]) -> bytes:
+    """Encode a payload with sorted keys, to compare it."""
     return orjson.dumps(payload, option=orjson.OPT_SORT_KEYS | orjson.OPT_SERIALIZE_NUMPY)

@@ -37,4 +37,5 @@ def decode(listing: str, cursor: str | None) -> int | None:
 
 
 def _mark(listing: str) -> str:
+    """Return a short hash that identifies a listing in its cursors."""
     return hashlib.sha256(listing.encode()).hexdigest()[:8]

@@ -200,6 +200,7 @@ class AuthenticationMiddleware:
 
 
 def _writes(scope: Scope) -> bool:
+    """Return whether a request may change something."""
     return scope["type"] == "http" and scope["method"] not in {"GET", "HEAD", "OPTIONS"}
 
 
@@ -270,4 +271,5 @@ def refuse_unprotected_service(web: WebSettings, data_folder: Path) -> None:
 
 
 def _no_password() -> str:
+    """Refuse to ask for the password of a key."""
     raise ValueError("the key has a password")

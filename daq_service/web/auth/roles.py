@@ -59,4 +59,5 @@ class Person:
 
 
 def _rank(role: str) -> int:
+    """Return the rank of a role; unknown ones are lowest."""
     return ROLES.index(role) if role in ROLES else -1

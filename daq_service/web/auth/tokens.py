@@ -154,6 +154,7 @@ def _edited_tokens(path: Path) -> Iterator[list[Token]]:
 
 
 def _sha256(text: str) -> str:
+    """Return the SHA-256 of a text."""
     return hashlib.sha256(text.encode()).hexdigest()
 
 

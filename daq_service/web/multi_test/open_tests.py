@@ -125,6 +125,7 @@ class ServedTests:
                         await self._close(test)
 
     async def _close(self, test: ServedTest) -> None:
+        """Close the data of a test that is not asked for any more."""
         test.context = None
         await test.resources.aclose()
         log.info("closed %s", test.name)

@@ -26,6 +26,7 @@ pages.add_api_route("/static/{name:path}", get_asset)
 
 
 def _listing(request: Request) -> Listing:
+    """Return the listing of the application."""
     listing = request.app.state.listing
     assert isinstance(listing, Listing)
     return listing
@@ -57,6 +58,7 @@ def get_readiness(request: Request) -> JsonAnswer:
 
 
 def _liveness(request: Request) -> dict[str, object]:
+    """Return the answer of the liveness check."""
     shown = _listing(request).shown()
     return {"status": "ok", "data": shown > 0, "tests": len(request.app.state.tests.all), "shown": shown}
 

@@ -112,6 +112,7 @@ def _utc_ns(moment: datetime | None) -> int | None:
 
 
 def _item(context: Context, number: int, entry: AuditEntry) -> dict[str, object]:
+    """Return an audit entry as JSON, with the outcome of its command."""
     outcome = None if entry.command_id is None else _outcome(context, entry.command_id)
     return with_utc({"id": number, **asdict(entry), "outcome": outcome}, 0)
 

@@ -45,6 +45,7 @@ ExecuteCommand = Callable[[kinds.Command], Response]
 
 
 async def _execute_dependency(context: ContextOf, request: Request, person: PersonOf) -> ExecuteCommand:
+    """Return the function that executes a command for the person of the request."""
     return partial(_execute_audited, context, request, person)
 
 

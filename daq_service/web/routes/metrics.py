@@ -59,6 +59,7 @@ class _FixedMetrics(Collector):
         self._metrics = list(metrics)
 
     def collect(self) -> Iterable[Metric]:
+        """Return the metrics, as `prometheus_client` calls for them."""
         return self._metrics
 
 
@@ -199,6 +200,7 @@ def _of_positions(
 
 
 def _quality(summary: LatestRows) -> str | None:
+    """Return the quality of the newest result of a position."""
     measured = summary.last_feature or summary.last_thickness
     return None if measured is None else measured.quality
 
@@ -212,14 +214,17 @@ def _delay_s(summary: LatestRows) -> float | None:
 
 
 def _recorder(status: str) -> Metric:
+    """Return the metric of the recorder's state."""
     return _states("recorder_state", "How the recorder is", {(): status}, get_args(RecorderStatus))
 
 
 def _counter(name: str, description: str, number: int) -> Metric:
+    """Return a counter."""
     return CounterMetricFamily(f"solimon_{name}", description, value=number)
 
 
 def _gauge(name: str, description: str, number: float | None) -> Metric:
+    """Return a gauge; without a value it is absent."""
     return _gauges(name, description, {(): number})
 
 

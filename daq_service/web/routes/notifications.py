@@ -112,6 +112,7 @@ def _receiver(context: Context, queue: ReceiverQueue) -> dict[str, object]:
 
 
 def _state_name(state: State, now_ns: int) -> str:
+    """Return the state of a receiver in a word."""
     if state.failing_since_utc_ns is not None:
         return "dead" if is_dead(state, now_ns) else "failing"
     return "waiting" if state.waiting else "idle"

@@ -107,4 +107,5 @@ def position_standing(
 
 
 def _row(fresh: Freshness, row: Row | None) -> dict[str, object] | None:
+    """Return a row as JSON; None stays None."""
     return None if row is None else fresh.row(row)

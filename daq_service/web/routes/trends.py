@@ -227,6 +227,7 @@ def published_bins(kind: Kind, bins: NDArray[np.void], fields: Sequence[str]) ->
 
 
 def _finite(column: NDArray[np.float64]) -> list[float | None]:
+    """Return a column with None for values that are not finite."""
     return [value if math.isfinite(value) else None for value in column.tolist()]
 
 

@@ -148,13 +148,16 @@ class _CatalogueIndex:
         self._catalogue, self._position = catalogue, position
 
     def n_stored(self, first: int, last: int) -> int:
+        """Return how many sets with records lie between two indices."""
         return self._catalogue.n_stored(self._position, first, last)
 
     def file(self, set_index: int) -> SetReference | None:
+        """Return the file of a set; None if it has none."""
         rows = self._catalogue.rows(SetRow, position=self._position, set_index=set_index)
         return next((SetReference(row.file) for row in rows if row.file is not None), None)
 
     def anchors(self, set_index: int) -> Mapping[int, float]:
+        """Return the time that aligns each shot of a set."""
         return anchors_of(results_in(self._catalogue, SetKey(set_index)))
 
     def first_files(self) -> list[SetReference]:
@@ -240,4 +243,5 @@ def _until_h(picture: Picture) -> list[float]:
 
 
 def _nested_lists(plane: NDArray[np.float32]) -> list[list[float | None]]:
+    """Return an image as nested lists with None for gaps."""
     return [[None if math.isnan(value) else value for value in row] for row in plane.tolist()]

@@ -113,10 +113,12 @@ class EventHub(Followed):
             await asyncio.sleep(TURN_S)
 
     def _beat(self) -> None:
+        """Wake all clients for a heartbeat and schedule the next one."""
         self._wake()
         self._heartbeat = self._loop.call_later(self.heartbeat_interval_s, self._beat)
 
     def _begin(self, event_id: int, events: list[EncodedEvent]) -> None:
+        """Start with the newest events."""
         self._complete_after, self._events = event_id, events
         self._wake()
 

@@ -48,6 +48,7 @@ class LiveFigures(Followed):
         }
 
     def _take(self, position: str, picture: Picture) -> None:
+        """Keep the newest picture of a position and wake its clients."""
         self._pictures[position] = picture
         self._wake()
 

@@ -194,8 +194,10 @@ def _is_inside(choice: Choice, first_h: float, last_h: float) -> bool:
 
 
 def _by_column(rows_json: Sequence[Mapping[str, object]], names: Sequence[str]) -> Columns:
+    """Return rows as columns of plain values."""
     return {name: [_plain(row[name]) for row in rows_json] for name in names}
 
 
 def _plain(value: object) -> object:
+    """Return a value as a file can hold it: nested ones as JSON."""
     return json.dumps(value) if isinstance(value, dict | list) else value

@@ -201,6 +201,7 @@ def with_texts(array: Array) -> Array | list[str]:
 
 
 def _npz(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+    """Yield the table as a NumPy file."""
     yield npz_image(_arrays(choice.columns, pages), facts)
 
 
@@ -216,6 +217,7 @@ def npz_image(arrays: Mapping[str, Array], facts: Facts) -> bytes:
 
 
 def _mat(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
+    """Yield the table as a MATLAB file."""
     units = {column.name: column.unit for column in choice.columns if column.unit}
     yield mat_image(choice.table, _arrays(choice.columns, pages), units, facts)
 

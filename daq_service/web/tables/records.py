@@ -27,6 +27,7 @@ BYTES_A_SAMPLE = 8
 
 
 def _column(name: str, form: Form, unit: str = "") -> PublishedColumn:
+    """Return a column of the table of records."""
     return PublishedColumn(name=name, form=form, unit=unit, nullable=name in ("quality",))
 
 

@@ -86,6 +86,7 @@ class Crosstalk:
         return volts
 
     def _add(self, volts: FloatArray, since_s: float, rate_hz: float, height_v: float) -> None:
+        """Add the decaying pulse that crosstalk leaves in a record."""
         fading_s = self.decay_s * math.log(max(abs(height_v) / FADED_V, 1.0))
         after, t = _after(volts, since_s, fading_s, rate_hz)
         spike = height_v * np.exp(-t / self.decay_s)

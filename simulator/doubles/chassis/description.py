@@ -217,6 +217,7 @@ SLOW = BoardParameters(serial_number=0x00C16021, product="PCI-6221", name="Dev1"
 
 
 def _footprint(size_m: float) -> CorrosionParameters:
+    """Return a patch of this size."""
     return CorrosionParameters(size_m=size_m)
 
 

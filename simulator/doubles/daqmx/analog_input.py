@@ -208,6 +208,7 @@ def record_samples(task: Task) -> int:
 
 
 def _has_reference_trigger(task: Task) -> bool:
+    """Return whether the task records around an analog edge."""
     return bool(task.settings.get("RefTrig.Type", NO_TRIGGER) == ANALOG_EDGE)
 
 
@@ -287,10 +288,12 @@ def _look_for_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
 
 
 def _pretrigger(task: Task) -> int:
+    """Return the number of samples before the trigger."""
     return int(task.settings["RefTrig.PretrigSamples"])
 
 
 def _after_trigger_ns(task: Task) -> int:
+    """Return the time from the trigger to the end of the record, ns."""
     return round((record_samples(task) - _pretrigger(task)) / rate_hz(task) * NS_PER_S)
 
 

@@ -50,6 +50,7 @@ def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> No
 
 
 def _same(terminal: str, reached: set[str]) -> bool:
+    """Return whether a terminal is among those reached; lines of the backplane are shared."""
     if terminal in reached:
         return True
     # The lines of the backplane are common to all boards of a chassis.
@@ -58,6 +59,7 @@ def _same(terminal: str, reached: set[str]) -> bool:
 
 
 def _known(bench: Bench, terminal: str) -> bool:
+    """Return whether any present board has the terminal."""
     name = short_name(terminal)
     return any(
         name == short_name(known)

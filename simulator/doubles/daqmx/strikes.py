@@ -145,12 +145,14 @@ class Strikes:
             self._counted[position] -= 1
 
     def _counted_key(self, position: str) -> ShotKey:
+        """Return the key of the next strike at a position, counted from the start."""
         index = self._counted.get(position, 0)
         self._counted[position] = index + 1
         set_index, shot_index = divmod(index, self._description.shots_per_set)
         return ShotKey(position=position, set_index=set_index, shot_index=shot_index)
 
     def _fall_ns(self, key: ShotKey, hour_h: float) -> int:
+        """Return how long the striker falls, ns."""
         height_m = self.specimen.strike(key, hour_h).drop_height_m
         return round(math.sqrt(2.0 * height_m / FALL_ACCELERATION_M_PER_S2) * NS_PER_S)
 
@@ -173,6 +175,7 @@ class Strikes:
     def _through_board(
         self, specimen: Specimen, strike: Strike, adc: AdcParameters, calibration: Calibration
     ) -> Acquired | None:
+        """Return the record of a strike as the board samples it."""
         twin = replace(specimen.twin, adc=adc)
         through_board = replace(specimen, twin=twin, adc_calibration=calibration)
         return through_board.solitary_wave(strike.key, strike.hour_h)

@@ -23,6 +23,7 @@ def _setting(name: str, default: float | str) -> Callable[[Task], object]:
 
 
 def _terminal(name: str) -> Callable[[Task], object]:
+    """Return a function that names a terminal of a task's board."""
     return lambda task: f"/{task.device.name}/ai/{name}"
 
 
@@ -74,11 +75,13 @@ def _set(family: str, bench: Bench, task: Task, arguments: Arguments) -> None:
 
 
 def _require_channels(task: Task) -> None:
+    """Raise the driver's status if the task cannot have channels."""
     if task.kind not in ("ai", "co"):
         raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task has no channels.", task=task.name)
 
 
 def _has_expired(task: Task) -> int:
+    """Return whether the watchdog has expired; the task must be reserved."""
     if task.state < TaskState.RESERVED:
         raise Status(statuses.PROPERTY_NEEDS_RESERVED_TASK, "Property: Watchdog.HasExpired", task=task.name)
     return int(task.run is not None and task.run.expired_ns is not None)

@@ -325,6 +325,7 @@ def stop(bench: Bench, task: Task) -> None:
 
 
 def _halt(bench: Bench, task: Task) -> None:
+    """Stop the hardware of a task and return it to the state before its start."""
     bench.kinds[task.kind].stop(bench, task, bench.settle(), "stop")
     task.state = task.resume
     if task.state < TaskState.RESERVED:
@@ -360,6 +361,7 @@ def control(bench: Bench, task: Task, action: int) -> None:
 
 
 def _unreserve(bench: Bench, task: Task) -> None:
+    """Release the resources of a task."""
     if task.state >= TaskState.RESERVED:
         bench.reservations.release(task.holder)
         task.state = TaskState.VERIFIED

@@ -116,6 +116,7 @@ def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
 
 
 def _require_watchdog(task: Task) -> None:
+    """Raise the driver's status if the task is no watchdog."""
     if task.kind != "watchdog":
         raise Status(statuses.NOT_A_WATCHDOG_TASK, task=task.name)
 

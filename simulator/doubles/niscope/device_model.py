@@ -170,6 +170,7 @@ class NiscopeBrain:
             return {"vi": handle}
 
     def _close(self, session: Session, _: Arguments) -> None:
+        """Close a session."""
         with self._changed:
             del self._sessions[session.handle]
             self._changed.notify_all()
@@ -178,6 +179,7 @@ class NiscopeBrain:
         """Do nothing: a lock concerns the caller's own threads."""
 
     def _commit(self, session: Session, _: Arguments) -> None:
+        """Commit the settings of a session."""
         require_idle(session)
         self._require_present(session)
 
@@ -198,6 +200,7 @@ class NiscopeBrain:
     # Acquisition
 
     def _initiate(self, session: Session, _: Arguments) -> None:
+        """Start an acquisition."""
         require_idle(session)
         self._require_present(session)
         if not any(channel.enabled for channel in session.channels.values()):
@@ -205,12 +208,14 @@ class NiscopeBrain:
         session.acquisition = self._pulsers.begin(session, self._monotonic_s())
 
     def _abort(self, session: Session, _: Arguments) -> None:
+        """Abort the acquisition."""
         with self._changed:
             session.acquisition = None
             self._changed.notify_all()
         self._require_present(session)
 
     def _waveform_count(self, session: Session, arguments: Arguments) -> Answer:
+        """Return how many waveforms a fetch would return."""
         requested = session.fetch[FETCH_RECORDS]
         left = max(session.records - session.fetch[FETCH_RECORD], 0)
         records = left if requested < 0 else min(requested, left)
@@ -267,21 +272,25 @@ class NiscopeBrain:
     # Calibration
 
     def _calibration_date(self, session: Session, arguments: Arguments) -> Answer:
+        """Return the date of the external or the self-calibration."""
         day = datetime.date.fromisoformat(session.board.calibration_date)
         if arguments["which_one"] == SELF_CALIBRATION:
             day = self._self_calibrated.get(session.board.serial_number, day)
         return {"year": day.year, "month": day.month, "day": day.day}
 
     def _calibration_temperature(self, session: Session, _: Arguments) -> Answer:
+        """Return the temperature of the calibration."""
         return {"temperature": session.board.calibration_temperature_c}
 
     def _self_calibrate(self, session: Session, _: Arguments) -> None:
+        """Note that the board has calibrated itself today."""
         require_idle(session)
         self._require_present(session)
         today = datetime.datetime.now(tz=datetime.UTC).date()
         self._self_calibrated[session.board.serial_number] = today
 
     def _require_present(self, session: Session) -> None:
+        """Raise the driver's status if the board has been unplugged."""
         if session.board not in self._boards.values():
             raise ScopeStatus(
                 statuses.SCOPE_HARDWARE_FAILURE, f"{session.board.name} is not in the system any more"

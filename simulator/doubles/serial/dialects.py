@@ -25,6 +25,7 @@ class AimTtiSupply(Supply):
     _EXECUTION_ERRORS: ClassVar = {OUT_OF_RANGE: "100", CONFLICT: "104"}
 
     def _power_on_state(self) -> None:
+        """Set the state after power-on, without events."""
         super()._power_on_state()
         self._events = 0
 
@@ -104,6 +105,7 @@ class RigolSupply(Supply):
     _WORDS: ClassVar = {"OVP": "VOLT", "OCP": "CURR"}
 
     def _power_on_state(self) -> None:
+        """Set the state after power-on, without protection."""
         super()._power_on_state()
         self._guarded = {"VOLT": False, "CURR": False}
 

@@ -264,6 +264,7 @@ class SerialLink:
                 self.withheld()
 
     def _transmit(self, text: bytes) -> None:
+        """Send text to the client, if one is connected."""
         if self._terminal is not None:
             try:
                 os.write(self._terminal[0], text)
@@ -271,6 +272,7 @@ class SerialLink:
                 self._hang_up()
 
     def _set_faults(self, faults: LineFaults) -> None:
+        """Set the faults of the line; without any, what was held back is dropped."""
         self._faults = faults
         if faults == LineFaults():
             self._held.clear()
@@ -290,6 +292,7 @@ class SerialLink:
         fresh.replace(self.path)
 
     def _unplug(self) -> None:
+        """Remove the device and hang up."""
         if self._terminal is None:
             return
         self.path.unlink(missing_ok=True)
@@ -305,6 +308,7 @@ class SerialLink:
         self._due.clear()
 
     def _end(self) -> None:
+        """Request the thread to end."""
         self._ended = True
 
 
@@ -328,11 +332,13 @@ class SocketLink(SerialLink):
         return f"visa:TCPIP0::127.0.0.1::{self._number}::SOCKET"
 
     def _plug(self) -> None:
+        """Listen for connections, on the same port as before."""
         if self._listener is None:
             self._listener = socket.create_server(("127.0.0.1", self._number))
             self._number = self._listener.getsockname()[1]
 
     def _unplug(self) -> None:
+        """Close the port and hang up."""
         if self._listener is not None:
             self._listener.close()
             self._listener = None

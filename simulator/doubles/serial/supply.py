@@ -92,6 +92,7 @@ class Supply:
         self._power_on_state()
 
     def _power_on_state(self) -> None:
+        """Set the state after power-on: output off, defaults of the limits."""
         self._set = {"VOLT": 0.0, "CURR": 0.1}
         self._on = False
         self._tripped = {"VOLT": False, "CURR": False}
@@ -120,6 +121,7 @@ class Supply:
         self._switch(on, "front panel")
 
     def _switch(self, on: bool, cause: str) -> None:
+        """Switch the output and record the change."""
         if on != self._on:
             self._on = on
             self.output.append(OutputChange(mono_ns=time.monotonic_ns(), on=on, cause=cause))
@@ -204,11 +206,13 @@ class Supply:
         return None
 
     def _measured(self) -> tuple[float, float]:
+        """Return voltage and current at the cell; zero while the output is off."""
         if not self._on:
             return 0.0, 0.0
         hours_h = (self._seconds() - self._start_s) / 3600.0
         return self.cell.operating_point(self._set["VOLT"], self._set["CURR"], hours_h)
 
     def _scatter(self, unit: str) -> float:
+        """Return the noise of the next reading of a unit."""
         self._readings += 1
         return float(np.random.default_rng([self._seed, self._readings]).normal(0.0, self._noise[unit]))

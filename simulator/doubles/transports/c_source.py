@@ -25,12 +25,14 @@ def library_source(library: str) -> str:
 
 
 def _attribute_kinds() -> str:
+    """Return the C function that knows the type of each attribute."""
     cases = [f"    case {entry.number}: return {_kind(entry)};" for entry in ATTRIBUTES.values()]
     head = "static int attribute_kind(int32_t attribute) {\n    switch (attribute) {"
     return "\n".join([head, *cases, "    default: return KIND_UNKNOWN;", "    }", "}", ""])
 
 
 def _kind(attribute: Attribute) -> str:
+    """Return the C constant of an attribute's type."""
     if attribute.c_type == "char":
         return "KIND_TEXT"
     width = struct.calcsize(PACKED[attribute.c_type])

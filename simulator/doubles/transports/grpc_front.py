@@ -57,6 +57,7 @@ def why_unavailable() -> str:
 
 
 def _is_installed(name: str) -> bool:
+    """Return whether a module is installed."""
     try:
         return find_spec(name) is not None
     except ModuleNotFoundError:
@@ -142,6 +143,7 @@ def arguments_of(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[st
 
 
 def _is_room(parameter: Parameter, entry: EntryPoint, request: Any) -> bool:
+    """Return whether a parameter is the size of a text buffer, which gRPC requests lack."""
     sizes = {other.size for other in entry.parameters if other.role is Role.OUT_TEXT}
     return parameter.name in sizes and parameter.name not in request.DESCRIPTOR.fields_by_name
 

@@ -112,6 +112,7 @@ def client_environment(
 
 
 def _compiler() -> str | None:
+    """Return the C compiler; None if there is none."""
     return next((found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
 
 

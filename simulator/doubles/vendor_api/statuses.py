@@ -46,6 +46,7 @@ class Status(Exception):  # noqa: N818 - a warning is a status too
         super().__init__(self.message)
 
     def _text(self, text: str, detail: str, task: str) -> str:
+        """Return the text of the error as DAQmx words it."""
         task_line = f"Task Name: {task}" if task else ""
         return "\n".join(filter(None, [text, detail, task_line, f"Status Code: {self.code}"]))
 
@@ -54,6 +55,7 @@ class ScopeStatus(Status):
     """Status of NI-SCOPE: its message has no task and no number."""
 
     def _text(self, text: str, detail: str, task: str) -> str:
+        """Return the text of the error as NI-SCOPE words it."""
         return "\n".join(filter(None, [text, detail]))
 
 

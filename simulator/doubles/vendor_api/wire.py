@@ -58,6 +58,7 @@ class Reader:
 
 
 def _text(text: str) -> bytes:
+    """Encode a text with its length; characters beyond ASCII are escaped."""
     # nidaqmx decodes by the locale, which may be plain ASCII.
     encoded = text.encode("ascii", errors="backslashreplace")
     return struct.pack("<I", len(encoded)) + encoded
@@ -82,6 +83,7 @@ def outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
 
 
 def _tail_inputs(entry: EntryPoint, attribute: int) -> tuple[Parameter, ...]:
+    """Return the variable parameters of a call."""
     if entry.tail is Tail.SET_ATTRIBUTE and attribute in ATTRIBUTES:
         return (ATTRIBUTES[attribute].value(Role.VALUE, Role.ARRAY, Role.TEXT),)
     names = Parameter("channel_names", Role.TEXT, "char")

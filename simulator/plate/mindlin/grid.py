@@ -64,11 +64,13 @@ def _continued_growth(last_m: float, elements: int, length_m: float) -> float:
 
 
 def _solve_growth(excess: Callable[[float], float], largest: float) -> float:
+    """Return the growth factor from one element to the next at which the lines fill the length."""
     # Rounding must not leave the root of a single element outside.
     return float(scipy.optimize.brentq(excess, 0.0, largest * (1.0 + 1e-9), xtol=1e-15, rtol=1e-14))
 
 
 def _lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:
+    """Return grid lines whose distances grow by a factor."""
     lines = start_m + np.concatenate(([0.0], np.cumsum(first_m * growth ** np.arange(elements))))
     lines[-1] = end_m
     return np.asarray(lines)

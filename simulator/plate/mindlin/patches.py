@@ -146,8 +146,10 @@ def profile_depth(x_m: FloatArray, y_m: FloatArray, patch: PatchParameters) -> F
 
 
 def _bowl(r: FloatArray) -> FloatArray:
+    """Return the depth profile of a bowl over the relative radius."""
     return np.asarray(np.maximum(1.0 - r**2, 0.0))
 
 
 def _cosine(r: FloatArray) -> FloatArray:
+    """Return the depth profile of a raised cosine over the relative radius."""
     return np.asarray(0.5 * (1.0 + np.cos(math.pi * np.minimum(np.abs(r), 1.0))))

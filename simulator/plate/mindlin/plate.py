@@ -83,6 +83,7 @@ class AffinePlate:
 
 
 def _at(coefficients: Cubic, s: float) -> sparse.csc_matrix:
+    """Return the cubic matrix polynomial at a thickness."""
     c0, c1, c2, c3 = coefficients
     lower = c0 + s * c1
     if c2.nnz:

@@ -119,4 +119,5 @@ def solid_family(
 
 
 def _at(corrosion: CorrosionParameters, lost: float) -> CorrosionParameters:
+    """Return the patch with this part of the thickness lost."""
     return replace(corrosion, depth_fraction=lost, depth_factor=1.0)

@@ -100,6 +100,7 @@ def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tu
 
 
 def _values_on(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the shape functions of an element and their slopes at some places."""
     start, end = axis.breaks_m[interval], axis.breaks_m[interval + 1]
     value, slope = lagrange(axis.degrees[interval], 2.0 * (at_m - start) / (end - start) - 1.0)
     return value, slope * (2.0 / (end - start))

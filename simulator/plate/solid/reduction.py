@@ -114,6 +114,7 @@ def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> 
 
 
 def _folded(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
+    """Reduce a symmetric matrix to the degrees of freedom that symmetry leaves."""
     return np.asarray(fold @ np.ascontiguousarray((fold @ matrix).T))
 
 
@@ -239,10 +240,12 @@ def project(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
 
 
 def _through(matrix: FloatArray, field: FloatArray) -> FloatArray:
+    """Multiply a field by a matrix."""
     return np.asarray(np.matmul(matrix, field))
 
 
 def _energy(field: FloatArray, in_plane: FloatArray, through: FloatArray) -> FloatArray:
+    """Return the energy products of fields, separated into in-plane and through-thickness factors."""
     count = field.shape[-1]
     product = in_plane @ through.reshape(len(in_plane), -1)
     return np.asarray(field.reshape(-1, count).T @ product.reshape(-1, count))
@@ -276,6 +279,7 @@ def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) 
 
 
 def _without_patch(corrosion: CorrosionParameters) -> CorrosionParameters:
+    """Return the plate without a patch that is too shallow to matter."""
     if corrosion.depth_fraction * corrosion.depth_factor < SHALLOWEST_FRACTION:
         return replace(corrosion, depth_fraction=0.0)
     return corrosion

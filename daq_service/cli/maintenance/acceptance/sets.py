@@ -102,6 +102,7 @@ def set_quantities(evidence: Evidence) -> list[Quantity]:
 
 
 def _fraction(part: int, total: int) -> float | None:
+    """Return a part of a total; None if there is nothing."""
     return part / total if total else None
 
 

@@ -90,8 +90,10 @@ def _of_sets(found: Iterable[Difference]) -> Iterable[str]:
 
 
 def _where(onset: Onset) -> str:
+    """Return the set and the hour of an onset."""
     return f"set {onset.set_index}, hour {onset.hour:.2f}"
 
 
 def _short(value: float | None) -> str:
+    """Format a value with six significant digits."""
     return "none" if value is None else f"{value:.6g}"
