@@ -582,9 +582,11 @@ def test_a_failed_write_of_a_shot_is_reported_before_the_next_strike(line, monke
     assert states(line, "B") == ["done"] * SETS
 
 
-def test_a_stop_while_nothing_was_recorded_leaves_the_set_due(line):
+@pytest.mark.parametrize("stops_at", [("A", 0), ("D", 3)], ids=["first shot", "last shot"])
+def test_a_stop_while_nothing_was_recorded_leaves_the_set_due(line, stops_at):
     stop = threading.Event()
-    line.script = lambda key: stop.set()  # nothing triggers
+    # Nothing triggers.
+    line.script = lambda key: stop.set() if (key.position, key.shot_index) == stops_at else None
     assert not line.run(stop=stop)
     assert line.rows("sets") == []
     line.script = healthy
