@@ -31,7 +31,15 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     values,
 )
-from daq_service.catalogue.stored_rows import checked_rows, checked_values, insert_rows, translated, writing
+from daq_service.catalogue.stored_rows import (
+    ANY_ROW,
+    Required,
+    checked_rows,
+    checked_values,
+    insert_rows,
+    translated,
+    writing,
+)
 from daq_service.catalogue.tables import (
     RARE_TOPICS,
     TABLES,
@@ -201,7 +209,7 @@ class Catalogue:
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
         """Return rows of a table in storage order; with filters on sets, in the order of the sets."""
-        return self._rows(kind, _of_kind(kind, limit, filters))
+        return self._rows(kind, _of_kind(kind, limit, filters), required_of(kind, filters))
 
     def last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
@@ -210,7 +218,8 @@ class Catalogue:
         table = TABLES[kind]
         statement = filtered(sa.select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(*(column.desc() for column in _key_of(table)))
-        return self._rows(kind, newest_first.limit(count))[::-1]
+        required = {"position": position, **required_of(kind, filters)}
+        return self._rows(kind, newest_first.limit(count), required)[::-1]
 
     def newest_gaps(self, count: int) -> list[SetRow]:
         """Return the newest missed and the newest partial sets of each position, ``count`` of each."""
@@ -270,14 +279,15 @@ class Catalogue:
             return {}
         # Complete rows: only these can be compared with their checksums.
         with self.reading() as connection:
-            rows = list(checked_values(connection, kind, _of_kind(kind, limit, filters)))
+            statement = _of_kind(kind, limit, filters)
+            rows = list(checked_values(connection, kind, statement, required_of(kind, filters)))
         columns = dict(zip(kind.__slots__, zip(*rows, strict=True), strict=False))
         return {name: list(columns.get(name, ())) for name in names}
 
-    def _rows(self, kind: type[R], statement: sa.Select[Any]) -> list[R]:
+    def _rows(self, kind: type[R], statement: sa.Select[Any], required: Required = ANY_ROW) -> list[R]:
         """Read the rows of a query."""
         with self.reading() as connection:
-            return with_rows(connection, list(checked_rows(connection, kind, statement)))
+            return with_rows(connection, list(checked_rows(connection, kind, statement, required)))
 
     def _newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
         """Return the last stored row that meets a condition; None if there is none."""
@@ -482,6 +492,18 @@ def filtered(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa
     return statement.order_by(*order)
 
 
+OF_A_SET: Filters = {"scope": "set"}
+
+
+def required_of(kind: type[Row], filters: Filters = OF_A_SET) -> dict[str, object]:
+    """Return the values of columns that filters require of a row; of features by default those of sets."""
+    columns = [name for name in filters if name == "topic" or name not in _CONDITIONS]
+    required = {name: filters.get(name) for name in columns if name in kind.__slots__}
+    required = {name: value for name, value in required.items() if value is not None}
+    of_sets = kind is FeatureRow and filters.get("scope") == "set"
+    return {**required, "shot_index": None} if of_sets else required
+
+
 def _has_key(table: sa.Table) -> bool:
     """Return whether the rows of a table belong to scheduled and unscheduled sets."""
     return table is not events and "unscheduled_index" in table.c
@@ -520,7 +542,8 @@ def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[
 
 def _newest(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
     """Return the row of the highest set index of each position in ``sets``."""
-    return {row.position: row for row in checked_rows(connection, kind, _newest_of(TABLES[kind]))}
+    newest = checked_rows(connection, kind, _newest_of(TABLES[kind]), required_of(kind))
+    return {row.position: row for row in newest}
 
 
 # Statements of several steps: building one takes longer than executing it ------------------------------

@@ -21,7 +21,7 @@ from sqlalchemy import BindParameter, ColumnElement, Connection, bindparam, dele
 from analysis.statistics.bins import bin_type, bins_of_sets, joined_bins
 from analysis.statistics.levels import FACTOR, level_widths
 from analysis.statistics.trend import PART, joined_part, parts_of_points
-from daq_service.catalogue.reader import in_plan
+from daq_service.catalogue.reader import in_plan, required_of
 from daq_service.catalogue.rows import (
     MEASURED,
     MEASURED_BY,
@@ -135,7 +135,8 @@ _DELETE = prepared(delete(trend_blocks).where(_BLOCKS))
 def _rows(connection: Connection, kind: type[R], position: str, first: int, end: int) -> list[R]:
     """Read the rows of a range of scheduled sets."""
     of_range = {"of_position": position, "first": first, "last": end - 1}
-    return list(checked_rows(connection, kind, _OF_RANGE[kind], **of_range))
+    required = {"position": position, **required_of(kind)}
+    return list(checked_rows(connection, kind, _OF_RANGE[kind], required, **of_range))
 
 
 def _bins(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
