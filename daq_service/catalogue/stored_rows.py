@@ -235,6 +235,7 @@ def checked_rows(
     kind: type[R],
     statement: Select[Any] | Prepared,
     required: Required = ANY_ROW,
+    /,
     **given: object,
 ) -> Iterator[R]:
     """Return the complete rows of a query, each compared with its checksum and the required values.
@@ -254,6 +255,7 @@ def checked_values(
     kind: type[Row],
     statement: Select[Any] | Prepared,
     required: Required = ANY_ROW,
+    /,
     **given: object,
 ) -> Iterator[Sequence[Any]]:
     """Yield the values of complete rows: every column of the table, the checksum last."""
