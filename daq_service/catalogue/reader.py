@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, Self, TypedDict, TypeVar, Unpack
 
 import sqlalchemy as sa
@@ -32,8 +33,7 @@ from daq_service.catalogue.rows import (
     values,
 )
 from daq_service.catalogue.stored_rows import (
-    ANY_ROW,
-    Required,
+    DamagedRow,
     checked_rows,
     checked_values,
     insert_rows,
@@ -209,7 +209,7 @@ class Catalogue:
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
         """Return rows of a table in storage order; with filters on sets, in the order of the sets."""
-        return self._rows(kind, _of_kind(kind, limit, filters), required_of(kind, filters))
+        return self._rows(kind, _of_kind(kind, limit, filters), _required_of(kind, filters))
 
     def last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
@@ -218,7 +218,7 @@ class Catalogue:
         table = TABLES[kind]
         statement = filtered(sa.select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(*(column.desc() for column in _key_of(table)))
-        required = {"position": position, **required_of(kind, filters)}
+        required = _required_of(kind, {**filters, "position": position})
         return self._rows(kind, newest_first.limit(count), required)[::-1]
 
     def newest_gaps(self, count: int) -> list[SetRow]:
@@ -279,15 +279,17 @@ class Catalogue:
             return {}
         # Complete rows: only these can be compared with their checksums.
         with self.reading() as connection:
-            statement = _of_kind(kind, limit, filters)
-            rows = list(checked_values(connection, kind, statement, required_of(kind, filters)))
-        columns = dict(zip(kind.__slots__, zip(*rows, strict=True), strict=False))
+            rows = list(checked_values(connection, kind, _of_kind(kind, limit, filters)))
+            columns = dict(zip(kind.__slots__, zip(*rows, strict=True), strict=False))
+            _refuse_others(kind, _required_of(kind, filters), lambda name: columns.get(name, ()))
         return {name: list(columns.get(name, ())) for name in names}
 
-    def _rows(self, kind: type[R], statement: sa.Select[Any], required: Required = ANY_ROW) -> list[R]:
+    def _rows(
+        self, kind: type[R], statement: sa.Select[Any], required: Mapping[str, object] = MappingProxyType({})
+    ) -> list[R]:
         """Read the rows of a query."""
         with self.reading() as connection:
-            return with_rows(connection, list(checked_rows(connection, kind, statement, required)))
+            return with_rows(connection, _rows_of(connection, kind, statement, required))
 
     def _newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
         """Return the last stored row that meets a condition; None if there is none."""
@@ -492,16 +494,38 @@ def filtered(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa
     return statement.order_by(*order)
 
 
-OF_A_SET: Filters = {"scope": "set"}
-
-
-def required_of(kind: type[Row], filters: Filters = OF_A_SET) -> dict[str, object]:
-    """Return the values of columns that filters require of a row; of features by default those of sets."""
+def _required_of(kind: type[Row], filters: Filters) -> dict[str, object]:
+    """Return the values of columns that filters require of a row."""
     columns = [name for name in filters if name == "topic" or name not in _CONDITIONS]
     required = {name: filters.get(name) for name in columns if name in kind.__slots__}
     required = {name: value for name, value in required.items() if value is not None}
     of_sets = kind is FeatureRow and filters.get("scope") == "set"
     return {**required, "shot_index": None} if of_sets else required
+
+
+def _refuse_others(
+    kind: type[Row], required: Mapping[str, object], values_of: Callable[[str], Iterable[object]]
+) -> None:
+    """Raise DamagedRow at a row without a required value of a column.
+
+    SQLite does not compare the row that an index leads to with the condition of the query.
+    """
+    for name, value in required.items():
+        for found in values_of(name):
+            if found != value:
+                raise DamagedRow(
+                    f"an index of table {TABLES[kind].name} is corrupt: it leads to a row "
+                    f"where {name} is {found!r}, not {value!r}"
+                )
+
+
+def _rows_of(
+    connection: sa.Connection, kind: type[R], statement: sa.Select[Any], required: Mapping[str, object]
+) -> list[R]:
+    """Return the rows of a query; raise DamagedRow at one without the required values."""
+    rows = list(checked_rows(connection, kind, statement))
+    _refuse_others(kind, required, lambda name: (getattr(row, name) for row in rows))
+    return rows
 
 
 def _has_key(table: sa.Table) -> bool:
@@ -542,8 +566,8 @@ def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[
 
 def _newest(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
     """Return the row of the highest set index of each position in ``sets``."""
-    newest = checked_rows(connection, kind, _newest_of(TABLES[kind]), required_of(kind))
-    return {row.position: row for row in newest}
+    required = _required_of(kind, {"scope": "set"})
+    return {row.position: row for row in _rows_of(connection, kind, _newest_of(TABLES[kind]), required)}
 
 
 # Statements of several steps: building one takes longer than executing it ------------------------------

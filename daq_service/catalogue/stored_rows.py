@@ -11,12 +11,11 @@ import math
 import sqlite3
 import time
 import zlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from operator import attrgetter
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any, TypeVar
 
 import orjson
@@ -48,9 +47,6 @@ from daq_service.catalogue.rows import Row
 from daq_service.catalogue.tables import KINDS, TABLES
 
 R = TypeVar("R", bound=Row)
-Required = Mapping[str, object]
-"""Columns of every row of a query and their value."""
-ANY_ROW: Required = MappingProxyType({})
 
 _PYTHON_TYPES = {JSON: dict, Boolean: bool, LargeBinary: bytes, Float: float, Integer: int, String: str}
 
@@ -231,45 +227,25 @@ def checked(kind: type[R], stored: Sequence[Any]) -> R:
 
 
 def checked_rows(
-    connection: Connection,
-    kind: type[R],
-    statement: Select[Any] | Prepared,
-    required: Required = ANY_ROW,
-    /,
-    **given: object,
+    connection: Connection, kind: type[R], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[R]:
-    """Return the complete rows of a query, each compared with its checksum and the required values.
+    """Return the complete rows of a query, each compared with its checksum.
 
     Raises
     ------
     DamagedRow
-         A row does not match its checksum, a value has the wrong type, or an index leads to the wrong row.
+         A row does not match its checksum, or a value has the wrong type.
     """
-    return (
-        _row_of(kind, stored) for stored in checked_values(connection, kind, statement, required, **given)
-    )
+    return (_row_of(kind, stored) for stored in checked_values(connection, kind, statement, **given))
 
 
 def checked_values(
-    connection: Connection,
-    kind: type[Row],
-    statement: Select[Any] | Prepared,
-    required: Required = ANY_ROW,
-    /,
-    **given: object,
+    connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[Sequence[Any]]:
     """Yield the values of complete rows: every column of the table, the checksum last."""
-    columns = [(kind.__slots__.index(name), name, value) for name, value in required.items()]
     try:
         for stored in _found(connection, kind, statement, given):
             _check_checksum(kind, stored)
-            # SQLite does not compare the row that an index leads to with the condition.
-            for number, name, value in columns:
-                if stored[number] != value:
-                    raise DamagedRow(
-                        f"an index of table {TABLES[kind].name} is corrupt: it leads to row {stored[0]}, "
-                        f"where {name} = {stored[number]!r}, not {value!r}"
-                    )
             yield stored
     except (TypeError, ValueError, OverflowError) as error:  # no JSON, no truth value, no UTF-8
         raise DamagedRow(f"a row of table {TABLES[kind].name} is not what was stored: {error}") from error
