@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Literal, Self, TypedDict, TypeVar, Unpack
 
 import sqlalchemy as sa
@@ -31,7 +32,14 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     values,
 )
-from daq_service.catalogue.stored_rows import checked_rows, checked_values, insert_rows, translated, writing
+from daq_service.catalogue.stored_rows import (
+    DamagedRow,
+    checked_rows,
+    checked_values,
+    insert_rows,
+    translated,
+    writing,
+)
 from daq_service.catalogue.tables import (
     RARE_TOPICS,
     TABLES,
@@ -201,7 +209,7 @@ class Catalogue:
 
     def rows(self, kind: type[R], /, *, limit: int | None = None, **filters: Unpack[Filters]) -> list[R]:
         """Return rows of a table in storage order; with filters on sets, in the order of the sets."""
-        return self._rows(kind, _of_kind(kind, limit, filters))
+        return self._rows(kind, _of_kind(kind, limit, filters), _required_of(kind, filters))
 
     def last_rows(
         self, kind: type[R], position: str, count: int | None, /, **filters: Unpack[Filters]
@@ -210,7 +218,8 @@ class Catalogue:
         table = TABLES[kind]
         statement = filtered(sa.select(table), table, {**filters, "position": position})
         newest_first = statement.order_by(None).order_by(*(column.desc() for column in _key_of(table)))
-        return self._rows(kind, newest_first.limit(count))[::-1]
+        required = _required_of(kind, {**filters, "position": position})
+        return self._rows(kind, newest_first.limit(count), required)[::-1]
 
     def newest_gaps(self, count: int) -> list[SetRow]:
         """Return the newest missed and the newest partial sets of each position, ``count`` of each."""
@@ -271,13 +280,16 @@ class Catalogue:
         # Complete rows: only these can be compared with their checksums.
         with self.reading() as connection:
             rows = list(checked_values(connection, kind, _of_kind(kind, limit, filters)))
-        columns = dict(zip(kind.__slots__, zip(*rows, strict=True), strict=False))
+            columns = dict(zip(kind.__slots__, zip(*rows, strict=True), strict=False))
+            _refuse_others(kind, _required_of(kind, filters), lambda name: columns.get(name, ()))
         return {name: list(columns.get(name, ())) for name in names}
 
-    def _rows(self, kind: type[R], statement: sa.Select[Any]) -> list[R]:
+    def _rows(
+        self, kind: type[R], statement: sa.Select[Any], required: Mapping[str, object] = MappingProxyType({})
+    ) -> list[R]:
         """Read the rows of a query."""
         with self.reading() as connection:
-            return with_rows(connection, list(checked_rows(connection, kind, statement)))
+            return with_rows(connection, _rows_of(connection, kind, statement, required))
 
     def _newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
         """Return the last stored row that meets a condition; None if there is none."""
@@ -482,6 +494,40 @@ def filtered(statement: sa.Select[Any], table: sa.Table, filters: Filters) -> sa
     return statement.order_by(*order)
 
 
+def _required_of(kind: type[Row], filters: Filters) -> dict[str, object]:
+    """Return the values of columns that filters require of a row."""
+    columns = [name for name in filters if name == "topic" or name not in _CONDITIONS]
+    required = {name: filters.get(name) for name in columns if name in kind.__slots__}
+    required = {name: value for name, value in required.items() if value is not None}
+    of_sets = kind is FeatureRow and filters.get("scope") == "set"
+    return {**required, "shot_index": None} if of_sets else required
+
+
+def _refuse_others(
+    kind: type[Row], required: Mapping[str, object], values_of: Callable[[str], Iterable[object]]
+) -> None:
+    """Raise DamagedRow at a row without a required value of a column.
+
+    SQLite does not compare the row that an index leads to with the condition of the query.
+    """
+    for name, value in required.items():
+        for found in values_of(name):
+            if found != value:
+                raise DamagedRow(
+                    f"an index of table {TABLES[kind].name} is corrupt: it leads to a row "
+                    f"where {name} is {found!r}, not {value!r}"
+                )
+
+
+def _rows_of(
+    connection: sa.Connection, kind: type[R], statement: sa.Select[Any], required: Mapping[str, object]
+) -> list[R]:
+    """Return the rows of a query; raise DamagedRow at one without the required values."""
+    rows = list(checked_rows(connection, kind, statement))
+    _refuse_others(kind, required, lambda name: (getattr(row, name) for row in rows))
+    return rows
+
+
 def _has_key(table: sa.Table) -> bool:
     """Return whether the rows of a table belong to scheduled and unscheduled sets."""
     return table is not events and "unscheduled_index" in table.c
@@ -520,7 +566,8 @@ def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[
 
 def _newest(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
     """Return the row of the highest set index of each position in ``sets``."""
-    return {row.position: row for row in checked_rows(connection, kind, _newest_of(TABLES[kind]))}
+    required = _required_of(kind, {"scope": "set"})
+    return {row.position: row for row in _rows_of(connection, kind, _newest_of(TABLES[kind]), required)}
 
 
 # Statements of several steps: building one takes longer than executing it ------------------------------

@@ -132,24 +132,25 @@ _STORED = prepared(select(trend_blocks).where(_BLOCKS).order_by(trend_blocks.c.p
 _DELETE = prepared(delete(trend_blocks).where(_BLOCKS))
 
 
-def _rows(connection: Connection, kind: type[R], position: str, first: int, end: int) -> list[R]:
+def _rows(connection: Connection, kind: type[R], **of_range: object) -> Iterator[R]:
     """Read the rows of a range of scheduled sets."""
-    of_range = {"of_position": position, "first": first, "last": end - 1}
-    return list(checked_rows(connection, kind, _OF_RANGE[kind], **of_range))
+    for row in checked_rows(connection, kind, _OF_RANGE[kind], **of_range):
+        if isinstance(row, FeatureRow) and row.shot_index is not None:
+            raise DamagedRow(f"an index of table features is corrupt: it has shot {row.shot_index} as a set")
+        yield row
 
 
 def _bins(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
     """Compute the bin of each set of a range."""
-    set_rows = _rows(connection, SetRow, place.position, first, end)
-    results = {row.set_index: row for row in _rows(connection, place.kind, place.position, first, end)}
-    assessments = {row.set_index: row for row in _rows(connection, AssessmentRow, place.position, first, end)}
     of_range = {"of_position": place.position, "first": first, "last": end - 1}
+    set_rows = list(_rows(connection, SetRow, **of_range))
+    results = {row.set_index: row for row in _rows(connection, place.kind, **of_range)}
+    assessments = {row.set_index: row for row in _rows(connection, AssessmentRow, **of_range)}
     raised = checked_rows(connection, AlarmRow, _RAISED, **of_range)
     n_alarms = Counter(row.raised_set_index for row in raised)
-    names = MEASURED[place.kind]
     values = [
         [
-            *(getattr(results.get(row.set_index), name, None) for name in names),
+            *(getattr(results.get(row.set_index), name, None) for name in MEASURED[place.kind]),
             *(getattr(assessments.get(row.set_index), name, None) for name in ASSESSED_VALUES),
         ]
         for row in set_rows
@@ -174,7 +175,7 @@ def _bins(connection: Connection, place: PositionRange, first: int, end: int) ->
 
 def _parts(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
     """Compute the sums for fits of each set of a range."""
-    results = _rows(connection, place.kind, place.position, first, end)
+    results = list(_rows(connection, place.kind, of_position=place.position, first=first, last=end - 1))
     names = MEASURED[place.kind]
     values = np.array([[getattr(row, name) for name in names] for row in results], dtype=np.float64)
     parts = parts_of_points([row.due_h for row in results], values.reshape(len(results), len(names)))
@@ -219,8 +220,7 @@ def joined_pieces(rollup: Rollup, pieces: Pieces, width: int) -> Pieces:
 def stored_blocks(connection: Connection, blocks: Blocks) -> list[tuple[str, bytes]]:
     """Read keys and contents of stored blocks."""
     of_range = {"first": blocks.key(blocks.first), "end": blocks.key(blocks.end)}
-    stored = checked_values(connection, TrendBlockRow, _STORED, **of_range)
-    return [(key, block) for key, block, _ in stored]
+    return [(key, block) for key, block, _ in checked_values(connection, TrendBlockRow, _STORED, **of_range)]
 
 
 def stored_pieces(connection: Connection, blocks: Blocks) -> Pieces:

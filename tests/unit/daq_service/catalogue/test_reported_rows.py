@@ -14,8 +14,9 @@ from daq_service.catalogue.corruption import catalogue_corruption
 from daq_service.catalogue.errors import CatalogueDamagedError
 from daq_service.catalogue.history import lacks_rows_of, read_history
 from daq_service.catalogue.reported_rows import ROW_OF_EVENT, reported
-from daq_service.catalogue.rows import AlarmRow, AssessmentRow, EventRow, FeatureRow
+from daq_service.catalogue.rows import MEASURED, AlarmRow, AssessmentRow, EventRow, FeatureRow
 from daq_service.catalogue.salvage import read_sound_rows
+from daq_service.catalogue.trends import trend_part
 from daq_service.recording.reassessment.rebuild import rebuild
 
 
@@ -104,15 +105,51 @@ def test_a_page_of_events_reads_each_table_once(life):
     assert len([sql for sql in statements if sql.startswith("SELECT")]) == 1 + len(kinds)
 
 
+OF_SETS, EVERY = "uq_features_set", "ix_features_position_set_index_unscheduled_index_shot_index"
+"""Indices of features."""
+
+
+def corrupt(line, name, columns, other):
+    """Make an index of features lead to the first shot of each set instead of the set."""
+    with closing(sqlite3.connect(line.folder / FILE_NAME)) as database, database:
+        (sql,) = database.execute("SELECT sql FROM sqlite_master WHERE name = ?", (name,)).fetchone()
+        assert columns in sql
+        database.execute(f"DROP INDEX {name}")
+        database.execute(sql.replace("UNIQUE ", "").replace(columns, other))
+        database.execute("PRAGMA writable_schema = ON")
+        database.execute("UPDATE sqlite_master SET sql = ? WHERE name = ?", (sql, name))
+
+
 def test_a_corrupt_index_does_not_give_the_row_of_a_shot_to_the_event_of_a_set(line):
     """SQLite does not compare the rows that a partial index leads to with its condition."""
-    with closing(sqlite3.connect(line.folder / FILE_NAME)) as database, database:
-        of_index = "name = 'uq_features_set'"
-        (sql,) = database.execute(f"SELECT sql FROM sqlite_master WHERE {of_index}").fetchone()
-        assert "shot_index IS NULL" in sql
-        database.execute("DROP INDEX uq_features_set")
-        database.execute(sql.replace("UNIQUE ", "").replace("shot_index IS NULL", "shot_index = 0"))
-        database.execute("PRAGMA writable_schema = ON")
-        database.execute(f"UPDATE sqlite_master SET sql = ? WHERE {of_index}", (sql,))
+    corrupt(line, OF_SETS, "shot_index IS NULL", "shot_index = 0")
     with line.catalogue() as catalogue, pytest.raises(CatalogueDamagedError, match="lacks its row"):
         catalogue.rows(EventRow, topic="features")
+
+
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda catalogue: catalogue.rows(FeatureRow, position="B", scope="set"),
+        lambda catalogue: catalogue.last_rows(FeatureRow, "B", 1, scope="set"),
+        lambda catalogue: catalogue.columns(FeatureRow, ["id"], position="B", scope="set"),
+        lambda catalogue: trend_part(catalogue, "B", MEASURED[FeatureRow][0], first_h=None, last_h=None),
+    ],
+    ids=["rows", "last_rows", "columns", "trend"],
+)
+def test_a_corrupt_index_does_not_give_the_row_of_a_shot_for_that_of_a_set(line, read):
+    corrupt(line, OF_SETS, "shot_index IS NULL", "shot_index = 0")
+    with (
+        line.catalogue() as catalogue,
+        pytest.raises(CatalogueDamagedError, match="index of table features is corrupt"),
+    ):
+        read(catalogue)
+
+
+def test_a_corrupt_index_does_not_give_the_row_of_a_shot_for_the_newest_of_a_position(line):
+    corrupt(line, EVERY, "shot_index)", "iif(shot_index IS NULL, 0, nullif(shot_index, 0)))")
+    with (
+        line.catalogue() as catalogue,
+        pytest.raises(CatalogueDamagedError, match="index of table features is corrupt"),
+    ):
+        catalogue.positions_state()
