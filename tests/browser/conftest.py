@@ -2,7 +2,10 @@
 
 import pytest
 from support.browser_pages import chromium, find_browser, watched_pages
+from support.doubles_bench import doubles
 from support.served_web import served
+
+__all__ = ["doubles"]
 
 
 @pytest.fixture(scope="package")

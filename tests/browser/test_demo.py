@@ -7,10 +7,12 @@ import signal
 import subprocess
 import sys
 import threading
+from functools import partial
 
 import httpx
 import pytest
 from support.browser_pages import dashboard, expect
+from support.command_line import first_match
 from support.waiting import until
 
 pytestmark = [
@@ -68,12 +70,7 @@ class Demo:
         self.lines.put("")
 
     def line_with(self, pattern):
-        seen = []
-        while line := self.lines.get(timeout=LIMIT_S):
-            if match := re.search(pattern, line):
-                return match[0]
-            seen.append(line)
-        pytest.fail(f"no {pattern!r} in the output: {seen}")
+        return first_match(iter(partial(self.lines.get, timeout=LIMIT_S), ""), pattern)[0]
 
     def end(self):
         self.process.kill()

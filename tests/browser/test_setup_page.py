@@ -8,7 +8,6 @@ from dataclasses import replace
 import pytest
 from support.browser_pages import PHONE, expect
 from support.command_line import SOLIMON
-from support.daqmx_models import running_brain
 from support.daqmx_rig import CHAIN, QUICK_TWIN, board, coil_pulses_s, quick_description
 from support.pseudo_terminal import on_terminal
 from support.waiting import until
@@ -47,12 +46,6 @@ ONE_SET = {
     "SOLIMON_ALARMS__HOLE_SHOTS": "2",
 }
 """The paper's schedule takes 350 hours; nothing else of the written file is changed."""
-
-
-@pytest.fixture(scope="module")
-def doubles():
-    with running_brain(DESCRIPTION) as running:
-        yield running
 
 
 @pytest.mark.slow

@@ -1,8 +1,7 @@
 """Digitizer and striker on NI-DAQmx keep the contracts, by library and by gRPC, on doubles of NI's driver."""
 
 import pytest
-from support.daqmx_models import running_brain
-from support.daqmx_rig import TRANSPORTS, meet, parameters_of, quick_description, why_no
+from support.daqmx_rig import TRANSPORTS, parameters_of, quick_description, reach
 
 from hardware_drivers.conformance.digitizer_contract import DigitizerContract
 from hardware_drivers.conformance.striker_contract import StrikerContract
@@ -13,18 +12,9 @@ from hardware_drivers.measurement import ShotKey
 DESCRIPTION = quick_description()
 
 
-@pytest.fixture(scope="module")
-def doubles():
-    with running_brain(DESCRIPTION) as running:
-        yield running
-
-
 @pytest.fixture(params=TRANSPORTS)
 def transport(request, doubles, monkeypatch):
-    if reason := why_no(request.param):
-        pytest.skip(reason)
-    if request.param == "library":
-        meet(doubles, monkeypatch)
+    reach(request.param, doubles, monkeypatch)
     return request.param
 
 

@@ -9,8 +9,7 @@ from typing import Any
 import pytest
 from pydantic import TypeAdapter
 from support.archived_sets import make_set
-from support.daqmx_models import running_brain
-from support.daqmx_rig import meet, parameters_of, quick_description, why_no
+from support.daqmx_rig import parameters_of, quick_description, reach, why_no
 from support.filed_archive import FiledArchive
 from support.serial_rig import NO_TERMINALS, SerialRig
 from support.small_experiment import small_settings
@@ -40,15 +39,9 @@ def plain(parameters):
     return TypeAdapter(type(parameters)).dump_python(parameters, mode="json")
 
 
-@pytest.fixture(scope="module")
-def doubles():
-    with running_brain(DESCRIPTION) as running:
-        yield running
-
-
 @pytest.fixture
 def daqmx(doubles, monkeypatch):
-    meet(doubles, monkeypatch)
+    reach("library", doubles, monkeypatch)
     struck = {"digitizer": ("C", "D"), "striker": ("C", "D")}
     yield Own(name="daqmx", table=plain(parameters_of(DESCRIPTION, doubles)), serves=struck, experiment={})
     record = doubles.control.record()

@@ -11,18 +11,16 @@ import math
 from dataclasses import replace
 
 import pytest
-from support.daqmx_models import running_brain
 from support.daqmx_rig import (
     CHAIN,
     READ_TIMEOUT_S,
     TRANSPORTS,
     board,
     counts_of_the_twin,
-    meet,
     parameters_of,
     quick_description,
+    reach,
     take,
-    why_no,
 )
 from support.waiting import happened
 
@@ -63,18 +61,9 @@ SHORT = [
 ]
 
 
-@pytest.fixture(scope="module")
-def doubles():
-    with running_brain(DESCRIPTION) as running:
-        yield running
-
-
 @pytest.fixture(params=["library", "grpc"])
 def parameters(request, doubles, monkeypatch):
-    if reason := why_no(request.param):
-        pytest.skip(reason)
-    if request.param == "library":
-        meet(doubles, monkeypatch)
+    reach(request.param, doubles, monkeypatch)
     landed(doubles)
     yield parameters_of(DESCRIPTION, doubles, transport=request.param, drop_height_m=DROP_M)
     doubles.control.disturb("C", Crosstalk())

@@ -2,7 +2,6 @@
 
 import json
 import os
-import re
 import signal
 import subprocess
 import urllib.error
@@ -12,7 +11,7 @@ from functools import partial
 from pathlib import Path
 
 import pytest
-from support.command_line import SOLIMON, solimon_here
+from support.command_line import SOLIMON, first_match, solimon_here
 from support.small_experiment import rows_of, run, small_settings
 from support.waiting import until
 
@@ -62,17 +61,6 @@ def started(*arguments):
                 os.killpg(process.pid, signal.SIGKILL)
         process.kill()
         process.communicate()
-
-
-def line_with(process, pattern):
-    """Return the first line of output that matches; fail when the output ends without one."""
-    assert process.stdout is not None
-    seen = []
-    for line in process.stdout:
-        seen.append(line)
-        if match := re.search(pattern, line):
-            return match[0]
-    pytest.fail(f"no {pattern!r} in the output: {seen}")
 
 
 def sets_done(folder):
@@ -127,7 +115,7 @@ def answers(url):
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_ctrl_c_and_sigterm_end_everything_without_a_kill(tmp_path, number):
     with started("demo", "--pace", "1", "--data-dir", str(tmp_path)) as process:
-        url = line_with(process, r"http://127\.0\.0\.1:\d+")
+        url = first_match(process.stdout, r"http://127\.0\.0\.1:\d+")[0]
         until(partial(answers, f"{url}/readyz"), "its first set")
         children = children_of(process.pid)
         # To the whole group, as a terminal does.

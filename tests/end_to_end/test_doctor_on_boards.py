@@ -9,15 +9,14 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import pytest
-from support.daqmx_models import running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     QUICK_TWIN,
     board,
     coil_pulses_s,
-    meet,
     parameters_of,
     quick_description,
+    reach,
 )
 from support.small_experiment import run
 from support.stepped_clock import SteppedClock
@@ -41,18 +40,10 @@ DESCRIPTION = replace(
 SAFETY_PAGE = Path(__file__).parents[2] / "docs/how-to/be-safe.md"
 
 
-@pytest.fixture(scope="module")
-def running():
-    with running_brain(DESCRIPTION) as doubles:
-        yield doubles
-
-
 @pytest.fixture
-def doubles(running, monkeypatch):
-    meet(running, monkeypatch)
-    running.control.clear_faults()
-    running.control.clear_record()
-    return running
+def doubles(doubles, monkeypatch):
+    reach("library", doubles, monkeypatch)
+    return doubles
 
 
 def configuration(folder, doubles, description=DESCRIPTION, **changes):

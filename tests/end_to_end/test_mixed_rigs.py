@@ -6,8 +6,7 @@ from dataclasses import replace
 
 import pytest
 from pydantic import TypeAdapter
-from support.daqmx_models import running_brain
-from support.daqmx_rig import coil_pulses_s, meet, parameters_of, quick_description, why_no
+from support.daqmx_rig import coil_pulses_s, parameters_of, quick_description, reach, why_no
 from support.offered_kinds import offer
 from support.scripted_kinds import OFFERED, begin_script
 from support.small_experiment import run
@@ -43,20 +42,13 @@ def folder(tmp_path):
     return tmp_path / "data"
 
 
-@pytest.fixture(scope="module")
-def running():
-    with running_brain(DESCRIPTION) as doubles:
-        yield doubles
-
-
 DESCRIPTION = quick_description()
 
 
 @pytest.fixture
-def doubles(running, monkeypatch):
-    meet(running, monkeypatch)
-    running.control.clear_record()
-    return running
+def doubles(doubles, monkeypatch):
+    reach("library", doubles, monkeypatch)
+    return doubles
 
 
 def mixed(instruments, places, **rig):

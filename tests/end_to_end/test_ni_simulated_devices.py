@@ -10,8 +10,7 @@ from typing import Any
 
 import pytest
 from support.command_line import solimon_here
-from support.daqmx_models import running_brain
-from support.daqmx_rig import board, meet, parameters_of, quick_description
+from support.daqmx_rig import board, parameters_of, quick_description, reach
 from support.small_experiment import run
 from support.stepped_clock import SteppedClock
 from support.stored_files import read_set, set_files
@@ -30,17 +29,10 @@ DESCRIPTION = quick_description(SIMULATED, positions="BCD")
 BASELINE_SETS, SETS, SHOTS = 7, 9, 1
 
 
-@pytest.fixture(scope="module")
-def running():
-    with running_brain(DESCRIPTION) as doubles:
-        yield doubles
-
-
 @pytest.fixture
-def doubles(running, monkeypatch):
-    meet(running, monkeypatch)
-    running.control.clear_record()
-    return running
+def doubles(doubles, monkeypatch):
+    reach("library", doubles, monkeypatch)
+    return doubles
 
 
 def configuration(folder, doubles, **changes):

@@ -9,7 +9,16 @@ from dataclasses import replace
 import pytest
 from support.command_line import solimon_here
 from support.daqmx_models import running_brain
-from support.daqmx_rig import CHAIN, QUICK_TWIN, board, coil_pulses_s, meet, quick_description, why_no
+from support.daqmx_rig import (
+    CHAIN,
+    QUICK_TWIN,
+    board,
+    coil_pulses_s,
+    meet,
+    quick_description,
+    reach,
+    why_no,
+)
 from support.small_experiment import run
 from support.stored_files import read_set, set_files
 from support.waiting import happened
@@ -51,19 +60,11 @@ SCHEDULE = {
 """One short set: how a rig is wired and triggered stays as it was written."""
 
 
-@pytest.fixture(scope="module")
-def running():
-    with running_brain(DESCRIPTION) as doubles:
-        yield doubles
-
-
 @pytest.fixture
-def doubles(running, monkeypatch):
-    meet(running, monkeypatch)
-    happened(running.control.wait_until_quiet, "every striker landed")
-    running.control.clear_faults()
-    running.control.clear_record()
-    return running
+def doubles(doubles, monkeypatch):
+    happened(doubles.control.wait_until_quiet, "every striker landed")
+    reach("library", doubles, monkeypatch)
+    return doubles
 
 
 def setup(file, *arguments, env=None):
@@ -105,14 +106,14 @@ def test_flags_lead_to_a_file_whose_first_set_is_good(doubles, tmp_path, monkeyp
 
 
 @pytest.mark.skipif(bool(why_no("grpc")), reason=why_no("grpc") or "it can be reached")
-def test_boards_of_another_computer_are_set_up_alike(running, tmp_path):
+def test_boards_of_another_computer_are_set_up_alike(doubles, tmp_path):
     file = tmp_path / "lab.toml"
-    there = ("--transport", "grpc", "--grpc-address", running.grpc)
+    there = ("--transport", "grpc", "--grpc-address", doubles.grpc)
     answer = report(setup(file, *WIRED[:2], *there, "--strike", "--json"))
     assert (answer["struck"], answer["proposal"]["troubles"]) == (["B"], {})
     boards = load_settings(file).rig.daqmx
     assert boards is not None
-    assert (boards.transport, boards.grpc_address) == ("grpc", running.grpc)
+    assert (boards.transport, boards.grpc_address) == ("grpc", doubles.grpc)
 
 
 def test_without_permission_nothing_strikes_and_the_file_states_it(doubles, tmp_path):

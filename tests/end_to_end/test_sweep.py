@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from click.testing import CliRunner
-from support.command_line import SOLIMON
+from support.command_line import SOLIMON, first_match
 
 from daq_service.cli.main import cli
 
@@ -33,17 +33,6 @@ def started(*arguments):
     )
 
 
-def read_until(process, pattern):
-    """Return the first group of the first line that matches."""
-    assert process.stderr is not None
-    seen = []
-    for line in process.stderr:
-        seen.append(line)
-        if match := re.search(pattern, line):
-            return match[1]
-    pytest.fail(f"no {pattern!r} in {seen}")
-
-
 def simulate(*arguments):
     return CliRunner().invoke(cli, ["simulate", *arguments])
 
@@ -61,7 +50,7 @@ def test_a_sweep_killed_and_interrupted_goes_on_and_ends_with_the_same_bytes(who
     output = tmp_path / "table.csv"
     arguments = (*SLOW, "--workers", "1", "--out", str(output))
     with started(*arguments, "--executor", "processes") as process:
-        read_until(process, r"\((1\d) %\)")
+        first_match(process.stderr, r"\((1\d) %\)")
         process.kill()
         # Ends only when its worker has ended, too: that holds the other end of these pipes.
         process.communicate(timeout=LIMIT_S)
@@ -69,8 +58,10 @@ def test_a_sweep_killed_and_interrupted_goes_on_and_ends_with_the_same_bytes(who
     finished = ROWS // 10
     if os.name != "nt":  # Windows has no signal of a terminal to send
         with started(*arguments, "--executor", "processes") as process:
-            assert finished <= int(read_until(process, rf"^(\d+) of {ROWS} rows were finished before$"))
-            read_until(process, r"\(([34]\d) %\)")
+            assert finished <= int(
+                first_match(process.stderr, rf"^(\d+) of {ROWS} rows were finished before$")[1]
+            )
+            first_match(process.stderr, r"\(([34]\d) %\)")
             os.killpg(process.pid, signal.SIGINT)
             _, errors = process.communicate(timeout=LIMIT_S)
         assert process.returncode == 130, errors

@@ -25,6 +25,7 @@ from support.daqmx_rig import (
     meet,
     parameters_of,
     quick_description,
+    reach,
     take,
     why_no,
     wired,
@@ -57,19 +58,9 @@ DESCRIPTION = replace(
 )
 
 
-@pytest.fixture(scope="module")
-def doubles():
-    with running_brain(DESCRIPTION) as running:
-        yield running
-
-
 @pytest.fixture(params=TRANSPORTS)
 def transport(request, doubles, monkeypatch):
-    if reason := why_no(request.param):
-        pytest.skip(reason)
-    if request.param == "library":
-        meet(doubles, monkeypatch)
-    doubles.control.clear_record()
+    reach(request.param, doubles, monkeypatch)
     yield request.param
     doubles.control.clear_faults()
     doubles.control.release_hangs()

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.daqmx_models import running_brain
 from support.daqmx_rig import (
     QUICK_PULSE_S,
     READ_TIMEOUT_S,
@@ -16,11 +15,10 @@ from support.daqmx_rig import (
     coil_pulses_s,
     counts_of_the_twin,
     functions_of,
-    meet,
     parameters_of,
     quick_description,
+    reach,
     take,
-    why_no,
     wired,
 )
 from support.waiting import happened
@@ -55,18 +53,9 @@ DESCRIPTION = replace(
 )
 
 
-@pytest.fixture(scope="module")
-def doubles():
-    with running_brain(DESCRIPTION) as running:
-        yield running
-
-
 @pytest.fixture(params=["library", "grpc"])
 def transport(request, doubles, monkeypatch):
-    if reason := why_no(request.param):
-        pytest.skip(reason)
-    if request.param == "library":
-        meet(doubles, monkeypatch)
+    reach(request.param, doubles, monkeypatch)
     happened(doubles.control.wait_until_quiet, "the striker landed")
     doubles.control.clear_record()
     yield request.param

@@ -3,16 +3,14 @@
 from dataclasses import replace
 
 import pytest
-from support.daqmx_models import running_brain
 from support.daqmx_rig import (
     QUICK_TWIN,
     TRANSPORTS,
     board,
     functions_of,
-    meet,
     parameters_of,
     quick_description,
-    why_no,
+    reach,
 )
 
 from hardware_drivers.daqmx.survey import survey_rig
@@ -27,19 +25,9 @@ DESCRIPTION = replace(
 SERIAL = SIMULTANEOUS_16_BIT.serial_number
 
 
-@pytest.fixture(scope="module")
-def doubles():
-    with running_brain(DESCRIPTION) as running:
-        yield running
-
-
 @pytest.fixture(params=TRANSPORTS)
 def parameters(request, doubles, monkeypatch):
-    if reason := why_no(request.param):
-        pytest.skip(reason)
-    if request.param == "library":
-        meet(doubles, monkeypatch)
-    doubles.control.clear_record()
+    reach(request.param, doubles, monkeypatch)
     yield parameters_of(DESCRIPTION, doubles, transport=request.param)
     doubles.control.clear_faults()
     record = doubles.control.record()

@@ -8,18 +8,16 @@ the counter hangs on its way to the board.
 from dataclasses import replace
 
 import pytest
-from support.daqmx_models import running_brain
 from support.daqmx_rig import (
     TRANSPORTS,
     board,
     coil_pulses_s,
     counts_of_the_twin,
     functions_of,
-    meet,
     parameters_of,
     quick_description,
+    reach,
     take,
-    why_no,
     wired,
 )
 
@@ -50,19 +48,9 @@ LATE_S = TIMEOUT_S - 0.5 * LONG_PULSE_S
 slowness either way still has the watchdog end within the pulse."""
 
 
-@pytest.fixture(scope="module")
-def doubles():
-    with running_brain(DESCRIPTION) as running:
-        yield running
-
-
 @pytest.fixture(params=TRANSPORTS)
 def parameters(request, doubles, monkeypatch):
-    if reason := why_no(request.param):
-        pytest.skip(reason)
-    if request.param == "library":
-        meet(doubles, monkeypatch)
-    doubles.control.clear_record()
+    reach(request.param, doubles, monkeypatch)
     yield guarded(parameters_of(DESCRIPTION, doubles, transport=request.param))
     doubles.control.clear_faults()
     doubles.control.release_hangs()

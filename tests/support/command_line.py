@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from unittest.mock import patch
 
 import click
+import pytest
 
 from daq_service.cli.main import cli, main
 
@@ -23,6 +25,16 @@ def command_of(name: str) -> click.Command:
     command = cli.get_command(click.Context(cli), name)
     assert command is not None, name
     return command
+
+
+def first_match(lines: Iterable[str], pattern: str) -> re.Match[str]:
+    """Return the first match in the output of a command; fail the test when the output ends without one."""
+    seen = []
+    for line in lines:
+        seen.append(line)
+        if match := re.search(pattern, line):
+            return match
+    pytest.fail(f"no {pattern!r} in the output: {seen}")
 
 
 def solimon_here(*arguments: str, env: Mapping[str, str]) -> subprocess.CompletedProcess[str]:

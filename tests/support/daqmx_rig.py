@@ -124,6 +124,16 @@ def meet(doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setenv(name, text)
 
 
+def reach(transport: str, doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let this process reach a double without faults, with an empty record; skip where it cannot."""
+    if reason := why_no(transport):
+        pytest.skip(reason)
+    if transport == "library":
+        meet(doubles, monkeypatch)
+    doubles.control.clear_faults()
+    doubles.control.clear_record()
+
+
 HOUR_H = 12.0
 
 

@@ -6,7 +6,6 @@ A module sets ``DESCRIPTION`` for other boards than the default ones.
 
 from __future__ import annotations
 
-import ctypes
 import threading
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -23,10 +22,11 @@ from simulator.doubles.chassis.description import (
 )
 from simulator.doubles.device_model import Brain
 from simulator.doubles.transports.control import RunningDoubles
-from simulator.doubles.transports.library import SONAMES, build_library, client_environment, why_unavailable
+from simulator.doubles.transports.library import build_library, why_unavailable
 from simulator.doubles.vendor_api.statuses import NOT_DONE_IN_TIME, Status
 from simulator.parameters.experiment import TwinParameters
 from support.daqmx_models import running_brain
+from support.daqmx_rig import reach
 
 
 def one_board_description(twin: TwinParameters | None = None) -> Description:
@@ -148,11 +148,11 @@ class Caller:
 
 
 @pytest.fixture(scope="session")
-def double_library(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def double_library() -> Path:
     """Return the folder of libnidaqmx; skip the test with the reason if it cannot be built."""
     if reason := why_unavailable():
         pytest.skip(reason)
-    return build_library("nidaqmx", tmp_path_factory.mktemp("doubles"))
+    return build_library("nidaqmx")
 
 
 @pytest.fixture(scope="module")
@@ -163,20 +163,7 @@ def doubles(request: pytest.FixtureRequest) -> Iterator[RunningDoubles]:
 
 
 @pytest.fixture
-def meeting(doubles: RunningDoubles, double_library: Path, monkeypatch: pytest.MonkeyPatch) -> RunningDoubles:
+def meeting(doubles: RunningDoubles, monkeypatch: pytest.MonkeyPatch) -> RunningDoubles:
     """Yield a running double that the `nidaqmx` of this process finds, with an empty record."""
-    meet(doubles, double_library, monkeypatch)
-    doubles.control.clear_faults()
-    doubles.control.clear_record()
+    reach("library", doubles, monkeypatch)
     return doubles
-
-
-def meet(doubles: RunningDoubles, library: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Let this process find the library of the double.
-
-    The loader read LD_LIBRARY_PATH when this process started. A library that is loaded already is found by
-    its soname whatever the path says, so it is loaded by its file first.
-    """
-    ctypes.CDLL(str(library / SONAMES["nidaqmx"]), mode=ctypes.RTLD_GLOBAL)
-    for name, text in client_environment(doubles.wire, library, environment={}).items():
-        monkeypatch.setenv(name, text)

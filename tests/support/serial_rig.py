@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +135,22 @@ class SerialRig:
             return False
         assert (reading.voltage_v, reading.output_on) == (10.0, True)
         return True
+
+    def garble_reply(self, number: int) -> Iterator[int]:
+        """Let the supply send one wrong reply, the ``number``-th from now on; return their counter."""
+        answered = iter(range(1, 1000))
+        link, answer = self.instruments.supply_link, self.instruments.supply.answer
+
+        def garble_one(command: str) -> str | None:
+            reply = answer(command)
+            if reply is None or next(answered) != number:
+                return reply
+            if command == "*IDN?":
+                self.deadlines.skip()  # the name may still come after what is not it
+            return "@?"
+
+        link.answer = garble_one
+        return answered
 
     def switched(self) -> list[tuple[bool, str]]:
         """Return the changes of the supply's output with their causes."""

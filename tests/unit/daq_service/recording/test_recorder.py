@@ -44,6 +44,10 @@ def events_of(line, kind):
     return [row for row in line.rows("events") if row.kind == kind]
 
 
+def rig_alarms(line):
+    return [row for row in line.rows("alarms") if row.kind == "instruments_unavailable"]
+
+
 class WatchedArchive(MemoryArchive):
     """Archive that records how many sets have rows when one is stored, and is killed at some."""
 
@@ -446,9 +450,86 @@ def test_a_temporary_rig_error_costs_only_its_set(line, kind):
     assert line.run()
     assert states(line, "B")[:3] == ["missed", "done", "done"]
     assert states(line, "A") == ["done"] * SETS
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "instruments_unavailable"]
+    (alarm,) = rig_alarms(line)
     assert (alarm.state, alarm.position) == ("returned_unacknowledged", None)
     assert "the chassis reboots" in alarm.message
+
+
+def losing(line, *sets):
+    """Let the connection be lost at every shot of B in these sets; two shots are too few to end a set."""
+    lost = ConnectionLostError("board is gone")
+    line.script = lambda key: lost if key.set_index in sets and key.position == "B" else healthy(key)
+
+
+def of_two_shots(*positions):
+    settings = memory_settings(
+        schedule={"shots_per_set": 2}, baseline={"minimum_valid_shots": 2}, alarms={"hole_shots": 2}
+    )
+    return settings.model_copy(update={"positions": {name: settings.positions[name] for name in positions}})
+
+
+def test_a_long_loss_of_the_rig_disables_no_transducer(line):
+    losing(line, 1, 2, 3, 4)
+    assert line.run()
+    assert states(line, "B") == ["done"] + ["missed"] * 4 + ["done"] * (SETS - 5)
+    assert {(row.position, row.kind) for row in line.alarms()} == {(None, "instruments_unavailable")}
+
+
+def test_a_rig_that_answers_nothing_in_short_sets_raises_the_alarm(line):
+    line.settings = of_two_shots("A", "B")
+    losing(line, 1, 2)
+    assert line.run()
+    (alarm,) = rig_alarms(line)
+    assert (alarm.raised_set_index, alarm.state) == (1, "returned_unacknowledged")
+    assert alarm.message == "set 1 got no answer: board is gone; the next set tries again"
+
+
+def test_one_strike_that_is_answered_is_no_trouble_of_the_rig(line):
+    line.settings = of_two_shots("A", "B", "C")
+    losing(line, 1, 2)
+    assert line.run()
+    assert rig_alarms(line) == []
+
+
+class PausingClock(SimulatedClock):
+    """Clock with an operator who pauses the test while its third set is awaited, or once it is due."""
+
+    def __init__(self, line, *, late):
+        super().__init__(parse_utc(line.settings.clock.epoch))
+        self.line, self.late = line, late
+        self.due_ns = self.utc_ns() + round(1.5 * 3.6e12)
+
+    def wait_until(self, utc_ns, idle):
+        reached = self.late and super().wait_until(utc_ns, idle)
+        if self.due_ns is not None and utc_ns >= self.due_ns:
+            self.due_ns = None
+            self.line.order("pause", note="why")
+        return reached if self.late else super().wait_until(utc_ns, idle)
+
+
+@pytest.mark.parametrize("late", [False, True])
+def test_a_pause_does_not_report_that_the_rig_is_back(line, late):
+    line.listen_every_s = 0.0
+    losing(line, 1)
+    assert line.run(clock=PausingClock(line, late=late))
+    assert states(line, "B") == ["done"] + ["missed"] * (SETS - 1)
+    assert [row.state for row in rig_alarms(line)] == ["unacknowledged"]
+
+
+def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(line):
+    """A repetition is granted, and a pause comes before it: it was never made."""
+    send_at(line, ShotKey(position="B", set_index=1, shot_index=0), "pause", note="door open")
+    send = line.script
+
+    def script(key):
+        answer = send(key)
+        return None if (key.set_index, key.position) == (1, "B") else answer
+
+    line.script = script
+    assert line.run()
+    row = line.rows("sets", "B")[1]
+    assert (row.state, row.n_missed, row.n_restrikes) == ("missed", 1, 0)
+    assert row.reason == "paused by Ada: door open; 1 missed: no trigger at B"
 
 
 def failing_at(*keys):
@@ -466,7 +547,7 @@ def test_a_rig_that_never_worked_ends_the_test_when_its_shots_are_stored(line):
     assert causes(line, "C")[0] == "no such channel"
     assert line.rows("sets", "C")[0].n_taken == 2
     assert states(line, "D") == ["missed"] * 2
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "instruments_unavailable"]
+    (alarm,) = rig_alarms(line)
     assert "the recorder has stopped" in alarm.message
 
 
@@ -479,7 +560,7 @@ def test_an_error_of_a_rig_that_has_worked_costs_sets_and_not_the_test(line, res
     line.script = failing_at(*broken)
     assert line.run()
     assert states(line, "C")[:5] == ["done"] + ["partial"] * 3 + ["done"]
-    (alarm,) = [row for row in line.rows("alarms") if row.kind == "instruments_unavailable"]
+    (alarm,) = rig_alarms(line)
     assert alarm.state == "returned_unacknowledged"
     assert alarm.message == "set 1 ended early: no such channel; the next set tries again"
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support.daqmx_models import running_brain
-from support.doubles_bench import meet
+from support.daqmx_rig import meet
 from support.waiting import WAIT_S, ended, happened
 
 from simulator.doubles.chassis.description import default_description
@@ -238,7 +238,7 @@ def test_without_a_brain_every_call_fails_at_once_and_a_new_brain_is_found(
     monkeypatch,
 ):
     with running_brain(default_description()) as second:
-        meet(second, double_library, monkeypatch)
+        meet(second, monkeypatch)
         co = coil(name="lost")
         second.control.inject("DAQmxStartTask", "death")
         with pytest.raises(DaqError, match="went away during the call") as caught:
@@ -249,7 +249,7 @@ def test_without_a_brain_every_call_fails_at_once_and_a_new_brain_is_found(
         with pytest.raises(DaqError, match="No NI-DAQmx double answers") as caught:
             co.start()
         assert caught.value.error_code == -50401
-    meet(meeting, double_library, monkeypatch)
+    meet(meeting, monkeypatch)
     with pytest.raises(DaqError) as caught:
         co.close()
     assert caught.value.error_code == -200088

@@ -1,0 +1,3 @@
+from support.doubles_bench import doubles
+
+__all__ = ["doubles"]
