@@ -41,6 +41,11 @@ ALARMS_OF_CHANGE = ("wall_change", "transducer_change")
 """Kinds of alarm with the result of a confirmation set in their evidence; the diagnosis selects one."""
 NOT_ASSESSED = "not_assessed"
 """Kind of alarm of a baseline without limits, and status of a position that is not assessed."""
+_AFTER_CONDITION: Mapping[str, AlarmState] = {
+    "unacknowledged": "returned_unacknowledged",
+    "acknowledged": "normal",
+}
+"""States of an active alarm, and the state after its condition has gone."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -170,15 +175,10 @@ def update(row: AlarmRow | None, condition: Condition, moment: Moment) -> Change
                 **(NOT_SUPPRESSED if row.suppressed == "shelved" else {}),
             )
         return None
-    if condition.latched:
+    state = None if condition.latched else _AFTER_CONDITION.get(row.state)
+    if state is None:
         return None
-    if row.state == "unacknowledged":
-        return change_state(
-            row, "returned_unacknowledged", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns
-        )
-    if row.state == "acknowledged":
-        return change_state(row, "normal", moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
-    return None
+    return change_state(row, state, moment, "alarm_cleared", cleared_utc_ns=moment.utc_ns)
 
 
 def add_evidence(row: AlarmRow, evidence: Mapping[str, object], moment: Moment) -> Change:

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 LARGEST_ID = 2**53 - 1
 LARGEST_HOUR = 1e7
+Hour = Annotated[float, Field(ge=-LARGEST_HOUR, le=LARGEST_HOUR, allow_inf_nan=False)]
 
 SEEN = {"pattern": WRITTEN.pattern}
 Author = Annotated[
@@ -125,14 +126,8 @@ class AlarmArguments(NoteArguments):
 class AnnotationArguments(Strict):
     """An instant or a range of hours, and what is to be known of it."""
 
-    from_h: float = Field(ge=-LARGEST_HOUR, le=LARGEST_HOUR, allow_inf_nan=False, description="First hour")
-    to_h: float | None = Field(
-        default=None,
-        ge=-LARGEST_HOUR,
-        le=LARGEST_HOUR,
-        allow_inf_nan=False,
-        description="Last hour; null: an instant",
-    )
+    from_h: Hour = Field(description="First hour")
+    to_h: Hour | None = Field(default=None, description="Last hour; null: an instant")
     position: str | None = Field(
         default=None, min_length=1, max_length=16, description="null: the whole test"
     )

@@ -117,9 +117,8 @@ class RemoteDrive:
 
     def __exit__(self, *_: object) -> None:
         if any(request.values["do"] == "energise" for request in self._sent.values()):
-            self._command(
-                "switch off", author="the recorder's end"
-            )  # the answer to that command would be lost
+            # The answer to that command would be lost.
+            self._command("switch off", author="the recorder's end")
         self._disconnect("the recorder has ended")
         self._abandon_process()
 
@@ -282,11 +281,8 @@ class RemoteDrive:
     def _command(self, do: str, **values: object) -> Reply:
         """Queue a command for the supply process; return the object that receives its reply."""
         if do == "energise":
-            until_ns = (
-                self._machine.elapsed_ns()
-                + round(self._parameters.read_timeout_s + COMES_WITHIN_S) * NS_PER_S
-            )
-            values["until_boot_ns"] = until_ns
+            within_s = round(self._parameters.read_timeout_s + COMES_WITHIN_S)
+            values["until_boot_ns"] = self._machine.elapsed_ns() + within_s * NS_PER_S
         request = _Request(values={"do": do, **values}, since_s=self._machine.mono_s(), reply=Reply())
         self._unsent.append(request)
         self._next_check_s = min(self._next_check_s, self._machine.mono_s())

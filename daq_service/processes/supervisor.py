@@ -239,13 +239,8 @@ class Supervisor:
     def _start(self, child: _Child) -> None:
         """Start a child with the threads that read its streams."""
         arguments = [argument.replace("{cause}", child.cause) for argument in child.plan.arguments]
-        child.started_ns, child.reported_beat, child.beat, child.cause = (
-            self._machine.mono_ns(),
-            None,
-            None,
-            "",
-        )
-        child.announced = None
+        child.started_ns, child.cause = self._machine.mono_ns(), ""
+        child.reported_beat = child.beat = child.announced = None
         child.process = self._start_process(
             [*self._program, *arguments, *child.extra], child.plan.environment
         )
