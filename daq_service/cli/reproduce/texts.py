@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from pydantic import TypeAdapter
+
+from daq_service.shared_file import packaged_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +28,13 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """One slip: the printed text, the correct one, and the name of the function of our finding."""
+    """One slip: the printed text, the correct one, our finding and the function of its numbers."""
 
     where: str
     prints: str
     right: str
-    finding: str = "nothing"
+    finding: str = ""
+    sentence: str = "nothing to compute"
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +46,4 @@ class Texts:
     slips: Sequence[Slip]
 
 
-TEXTS = TypeAdapter(Texts).validate_python(
-    tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-)
+TEXTS = TypeAdapter(Texts).validate_python(packaged_table(__file__))
