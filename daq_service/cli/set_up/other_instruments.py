@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import TypeVar
 
 from daq_service.cli.doctor.check import stamp_now
-from daq_service.cli.set_up.dialogue import Dialogue, Question
+from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.init import laboratory
 from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
@@ -75,7 +75,7 @@ def _ask_for_address(
         except InstrumentError as error:
             raise ValueError(str(error)) from error
 
-    return dialogue.ask(Question(name=name, text=f"{text}, - for none", default="-"), parse)
+    return dialogue.ask(name, f"{text}, - for none", parse, default="-")
 
 
 def _probes_at_a(address: str) -> dict[str, ProbeWiring]:

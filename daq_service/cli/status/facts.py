@@ -11,7 +11,7 @@ from pathlib import Path
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.evidence import baseline_doubts
 from daq_service.assessment.confirmation import count_recent, read_confirmations, summarize_confirmation
-from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
+from daq_service.assessment.position_status import age_of, is_stale, limit_of, status_of
 from daq_service.assessment.stored_limits import deciding_chart
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
@@ -90,7 +90,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 "positions": {
                     name: {
                         **_newest_rows(latest),
-                        **_present_state(folder, settings, catalogue, fresh, latest),
+                        **_present_state(settings, fresh, latest),
                         "baseline": _rate_of(baselines.get(name)),
                     }
                     for name, latest in (
@@ -154,12 +154,9 @@ def _newest_rows(latest: LatestRows) -> dict[str, object]:
     }
 
 
-def _present_state(
-    folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LatestRows
-) -> dict[str, object]:
+def _present_state(settings: Settings, fresh: Freshness, last: LatestRows) -> dict[str, object]:
     """Return what changes with time: state, age, limits, the interval of a thickness."""
-    data_h = data_hour(last)
-    age_h = None if data_h is None else fresh.age_h(data_h)
+    age_h = age_of(last, fresh)
     chart = deciding_chart(last.last_assessment, settings.alarms)
     return {
         "state": status_of(last),

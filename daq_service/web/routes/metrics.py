@@ -14,7 +14,14 @@ from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, genera
 from prometheus_client.registry import Collector
 from starlette.responses import Response
 
-from daq_service.assessment.position_status import PositionStatus, data_hour, is_stale, limit_of, status_of
+from daq_service.assessment.position_status import (
+    PositionStatus,
+    age_of,
+    is_stale,
+    latest_rows,
+    limit_of,
+    status_of,
+)
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.processes.disk_policy import LEVELS, outlook
@@ -133,12 +140,8 @@ def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     )
     labels = ("kind", "priority", "state", "position", "suppressed")
     yield _gauges("alarms_active", "Alarms that are not over", numbers, *labels)
-    states = catalogue.positions_state()
-    summaries = {
-        name: fresh.standing_word(states.get(name, LatestRows(position=name, method=place.method)))
-        for name, place in context.settings.positions.items()
-    }
-    yield from _of_positions(context.settings.schedule, context.settings.thinnest_m, fresh, summaries)
+    latest = latest_rows(catalogue, fresh, context.settings.positions)
+    yield from _of_positions(context.settings.schedule, context.settings.thinnest_m, fresh, latest)
 
 
 VALUES = (
@@ -169,12 +172,8 @@ def _of_positions(
         present: dict[Labels, str | None] = {(place,): state(last) for place, last in summaries.items()}
         return _states(name, description, present, get_args(known), "position")
 
-    def age_h(last: LatestRows) -> float | None:
-        hour = data_hour(last)
-        return None if hour is None else fresh.age_h(hour)
-
     def age_s(last: LatestRows) -> float | None:
-        hours = age_h(last)
+        hours = age_of(last, fresh)
         return None if hours is None else S_PER_H * hours
 
     def value_of(row: str, column: str) -> Callable[[LatestRows], float | None]:
@@ -188,7 +187,7 @@ def _of_positions(
     yield gauge(
         "stale",
         "1: older than the schedule explains",
-        lambda last: is_stale(schedule, fresh, age_h(last)),
+        lambda last: is_stale(schedule, fresh, age_of(last, fresh)),
     )
     yield gauge("data_age_seconds", "Age of the newest measured set on the test's clock", age_s)
     for name, description, row, column in VALUES:
