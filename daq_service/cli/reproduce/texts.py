@@ -37,6 +37,25 @@ class Slip:
     sentence: str = "nothing to compute"
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trended:
+    """A feature over the test and the figure that shows it.
+
+    Attributes
+    ----------
+    scale
+        Factor to the axis's unit.
+    quantities
+        Names of the paper's values of the fit's start, end and change, without the position.
+    """
+
+    item: str
+    column: str
+    scale: float
+    label: str
+    quantities: Mapping[str, str]
+
+
 @dataclass(frozen=True, slots=True)
 class Texts:
     """Contents of the file; captions by item."""
@@ -44,6 +63,7 @@ class Texts:
     captions: Mapping[str, Caption]
     causes: Sequence[Cause]
     slips: Sequence[Slip]
+    trends: Sequence[Trended]
 
 
 TEXTS = TypeAdapter(Texts).validate_python(packaged_table(__file__))

@@ -13,13 +13,13 @@ from tomlkit.exceptions import TOMLKitError
 
 from daq_service.cli.doctor.check import Check
 from daq_service.cli.doctor.command import rig_checks
-from daq_service.cli.doctor.storage import held_folder
+from daq_service.cli.doctor.storage import held_folder, refuse_while_owned
 from daq_service.cli.doctor.trial import Trial, strike_transducer
 from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.drawn import shot_drawn
 from daq_service.cli.set_up.init import head_of, laboratory, settings_of
 from daq_service.cli.set_up.transducers import Contents, Flags, positions_table
-from daq_service.errors import BusyError, RigError, UsageError
+from daq_service.errors import RigError, UsageError
 from daq_service.settings.instruments import configured, plain
 from daq_service.settings.tables import KeyPath, Tables
 from daq_service.settings.tree import Settings
@@ -206,8 +206,7 @@ class Kinds:
             A recorder owns the data folder.
         """
         with held_folder(self.data_folder) as owner:
-            if owner:
-                raise BusyError(f"a strike is refused: {owner}")
+            refuse_while_owned("a strike", owner)
             trial = strike_transducer(self.settings(), position, report=self.dialogue.report)
         self.position, self.trials[position] = position, trial
         self.strikes += 1

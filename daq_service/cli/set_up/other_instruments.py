@@ -39,9 +39,8 @@ def ask_for_others(
     tables: Tables = {}
     known = _probes(probes or {})
     if asks and probes is not None:
-        known |= _ask_for_address(
-            dialogue, "probe", "NI-SCOPE board of an ultrasonic probe at A, as NI MAX names it", _probes_at_a
-        )
+        text = "NI-SCOPE board of an ultrasonic probe at A, as NI MAX names it"
+        known |= _ask_for_address(dialogue, "probe", text, lambda address: _probes({"A": address}))
     if known:
         usual = laboratory()[0]["rig"]["niscope"]
         tables["niscope"] = {**usual, "probes": {name: _plain(wiring) for name, wiring in known.items()}}
@@ -76,10 +75,6 @@ def _ask_for_address(
             raise ValueError(str(error)) from error
 
     return dialogue.ask(name, f"{text}, - for none", parse, default="-")
-
-
-def _probes_at_a(address: str) -> dict[str, ProbeWiring]:
-    return _probes({"A": address})
 
 
 def _probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:

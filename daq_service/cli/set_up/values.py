@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from pydantic import TypeAdapter
+
 from analysis.waves.first_settings import Proposal, Trouble
 from daq_service.cli.doctor.spike import HARDWARE_CURE
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.errors import RigError
+from daq_service.shared_file import packaged_table
 
 REMEDIES: Mapping[Trouble, str] = {
-    "noise": "the noise reaches half of the wave: check cable, screen and grounding of the PZT",
-    "ringing": f"its coil rings until the wave comes: {HARDWARE_CURE}",
-    "no_wave": "no wave stands out: see whether the striker lifts and falls, then the sensor's cable",
-    "inverted": "its wave goes down, and such shots are flagged inverted: swap the PZT's leads",
-    "level": "its wave is too high or too low for the one level of all: bring the gains closer together",
-    "range": "no range of its board holds the wave: lower the gain before the input",
+    trouble: remedy.format(cure=HARDWARE_CURE)
+    for trouble, remedy in TypeAdapter(dict[Trouble, str]).validate_python(packaged_table(__file__)).items()
 }
 
 

@@ -37,7 +37,7 @@ from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.lost_catalogue import lost_reason
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import read_recorder_state
-from daq_service.settings.tree import ScheduleSettings, Settings
+from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -64,7 +64,8 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
     try:
         with open_catalogue(folder, writer=False) as catalogue:
             fresh = Freshness(folder, catalogue, settings.clock.kind)
-            counts = catalogue.counts()
+            counts, schedule = catalogue.counts(), settings.schedule
+            hours = due_hours(schedule.phases, end_h=schedule.end_h)
             baselines = catalogue.newest_baselines()
             return {
                 "recorder": fresh.recorder.description,
@@ -77,7 +78,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 "paused": catalogue.paused(),
                 "orders": _open_orders(catalogue),
                 "counts": counts,
-                "next_due_h": _next_due_h(settings.schedule, counts["sets"] + counts["missed_sets"]),
+                "next_due_h": next(iter(hours[counts["sets"] + counts["missed_sets"] :]), None),
                 "gaps": _gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
                 "lost": _lost_rows(folder, catalogue) | lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
                 "confirmations": _confirmations(
@@ -201,12 +202,6 @@ def _confirmations(
             name: max(0, maximum_a_day - count_recent(name, requested, fresh.now_h)) for name in transducers
         },
     }
-
-
-def _next_due_h(schedule: ScheduleSettings, done: int) -> float | None:
-    """Return the hour of the first set without rows; None if every scheduled set has its own."""
-    hours = due_hours(schedule.phases, end_h=schedule.end_h)[done:]
-    return hours[0] if hours else None
 
 
 def _open_orders(catalogue: Catalogue) -> list[dict[str, object]]:

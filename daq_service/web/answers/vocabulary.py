@@ -27,6 +27,9 @@ class Vocabulary(BaseModel, frozen=True):
     tags: Mapping[str, str]
     problems: Mapping[int, str]
     units: Mapping[str, str]
+    topics: tuple[str, ...]
+    listings: Mapping[str, str]
+    schemes: dict[str, dict[str, str]]
 
 
 VOCABULARY = Vocabulary.model_validate(packaged_table(__file__))
