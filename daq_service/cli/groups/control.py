@@ -8,14 +8,19 @@ from importlib import import_module
 import click
 
 
-def send(*, kind: str, note: str, question: str = "", without_reason: str = "", **given: object) -> int:
-    """Ask for a missing reason where the command needs one (it then has a question), and send the command."""
-    if question and not note.strip():
+def send(*, kind: str, note: str, **given: object) -> int:
+    """Send the command."""
+    code: int = import_module("daq_service.commands.send").send_command(kind, note=note, **given)
+    return code
+
+
+def send_with_reason(*, kind: str, note: str, question: str, without_reason: str, **given: object) -> int:
+    """Ask for a missing reason and send the command; without a terminal a missing one is an error."""
+    if not note.strip():
         if not sys.stdin.isatty():
             raise click.UsageError(without_reason)
         note = click.prompt(question, err=True)
-    code: int = import_module("daq_service.commands.send").send_command(kind, note=note, **given)
-    return code
+    return send(kind=kind, note=note, **given)
 
 
 def switch_supply(
