@@ -39,7 +39,7 @@ from daq_service.archive import FolderSetReader, nexus
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import EventRow
 from daq_service.processes.data_folder import prepare_data_folder
-from daq_service.recording.cost import STAGES
+from daq_service.recording.recorder import STAGES
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.file import load_settings

@@ -195,12 +195,12 @@ def finding_of_error(subject: str, check: str, error: InstrumentError, otherwise
     )
 
 
-def _no_packages(parameters: Any) -> Iterable[str]:
+def _no_packages(parameters: object) -> Iterable[str]:
     """Return no distribution: the kind needs none."""
     return ()
 
 
-def _no_extra_time(parameters: Any) -> float:
+def _no_extra_time(parameters: object) -> float:
     """Return 0 s: every call has a timeout."""
     return 0.0
 

@@ -6,10 +6,12 @@ travel from the digitizer to the archive and the analysis without anyone changin
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import zlib
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from types import MappingProxyType
-from typing import ClassVar, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, ClassVar, Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -176,8 +178,28 @@ class SetKey(NamedTuple):
         return cls(set_index, unscheduled_index)
 
 
+class OfSet:
+    """Base of everything that belongs to one set.
+
+    Attributes
+    ----------
+    set_index, unscheduled_index
+        Index of the scheduled set, and number of the unscheduled set after it (0: none).
+    """
+
+    __slots__ = ()
+    if TYPE_CHECKING:  # the fields are those of the dataclasses
+        set_index: int
+        unscheduled_index: int
+
+    @property
+    def set_key(self) -> SetKey:
+        """Return the key of the set."""
+        return SetKey(self.set_index, self.unscheduled_index)
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
-class DueSet:
+class DueSet(OfSet):
     """One scheduled set of every position, or one unscheduled set.
 
     Attributes
@@ -192,14 +214,12 @@ class DueSet:
     position: str | None = None
     unscheduled_index: int = 0
 
-    @property
-    def set_key(self) -> SetKey:
-        """Return the key of the set."""
-        return SetKey(self.set_index, self.unscheduled_index)
+    def __str__(self) -> str:
+        return f"set {self.set_index}" if self.position is None else f"a confirmation set at {self.position}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShotKey:
+class ShotKey(OfSet):
     """Key of a shot in a rig, and of the twin's random numbers."""
 
     position: str
@@ -212,11 +232,6 @@ class ShotKey:
         for name in ("set_index", "shot_index", "attempt", "unscheduled_index"):
             if getattr(self, name) < 0:
                 raise ValueError(f"{name} is {getattr(self, name)}; it must not be negative")
-
-    @property
-    def set_key(self) -> SetKey:
-        """Return the key of its set."""
-        return SetKey(self.set_index, self.unscheduled_index)
 
     @classmethod
     def in_set(cls, set_key: SetKey, position: str, shot_index: int, attempt: int = 0) -> ShotKey:
@@ -334,3 +349,143 @@ class ClimateReading:
     stamp: Stamp
     temperature_c: float
     relative_humidity: float
+
+
+@lru_cache(maxsize=64)
+def waveform_crc32(waveform: Waveform) -> int:
+    """Return the CRC-32 (zlib's) of a record's counts as little-endian bytes.
+
+    Cached, since file, acknowledgement and catalogue need the CRC-32 of the same, immutable waveform.
+    """
+    counts = waveform.counts
+    return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), order="C", copy=False).data)
+
+
+Results = Mapping[str, Mapping[str, Sequence[float | str]]]
+"""Results of a set: name of a table, name of a column, values."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class PositionRecord:
+    """Planned records of a position in this set, and why some are missing.
+
+    Attributes
+    ----------
+    method
+        ``solitary_wave`` or ``pulse_echo``.
+    n_planned
+         Number of planned records.
+    cause
+        Why fewer were taken; empty if the set is complete.
+    serial_number
+        Serial number of the transducer; empty if unknown.
+    """
+
+    position: str
+    method: str
+    n_planned: int
+    cause: str = ""
+    label: str = ""
+    serial_number: str = ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class SetRecord(OfSet):
+    """All measurements of one due time.
+
+    Attributes
+    ----------
+    due_h
+        Hours since the experiment's epoch.
+    started_utc_ns, ended_utc_ns
+        Experiment time of the first and after the last measurement.
+    positions
+        Every planned position, also those without a record.
+    missed
+         Strikes and echoes without a record.
+    outcomes
+        Sequence of a record to ``accepted`` or ``superseded`` (a repetition of the same shot counts
+        instead); a record that is not named is accepted.
+    trouble
+        The instrument's error that ended the set early, ``class: message``; empty: there was none.
+    environment
+        JSON-ready: values of supply and climate probe around the set; empty if there are none.
+    provenance
+        JSON-ready: configuration, ``configuration_hash``, host, versions, the rig's identity.
+    results
+        A copy of the catalogue's results of the set, NaN for a missing value; empty if the
+        set was stored before they were computed.
+
+    Raises
+    ------
+    ValueError
+        No record at all (a set without records has no file), a record of another set or of a position that
+        is not in `positions`, or a sequence twice.
+    """
+
+    set_index: int
+    due_utc_ns: int
+    due_h: float
+    started_utc_ns: int
+    ended_utc_ns: int
+    rig_kind: str
+    positions: Sequence[PositionRecord]
+    shots: Sequence[Shot] = ()
+    echoes: Sequence[PulseEchoRecord] = ()
+    missed: Sequence[MissedShot] = ()
+    outcomes: Mapping[int, str] = field(default_factory=dict)
+    trouble: str = ""
+    environment: Mapping[str, float | str | None] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+    results: Results = field(default_factory=dict)
+    unscheduled_index: int = 0
+
+    def __post_init__(self) -> None:
+        for name in ("positions", "shots", "echoes", "missed"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
+        records = self.records
+        if not records:
+            raise ValueError(f"set {self.set_key} has no record; a set without one has rows but no file")
+        names = [position.position for position in self.positions]
+        if len(set(names)) != len(names):
+            raise ValueError(f"set {self.set_key} names a position twice: {names}")
+        for record in records:
+            if record.key.set_key != self.set_key or record.key.position not in names:
+                raise ValueError(
+                    f"shot {record.sequence} is of set {record.key.set_key}, {record.key.position!r}; "
+                    f"this is set {self.set_key} of positions {names}"
+                )
+        if len({record.sequence for record in records}) != len(records):
+            raise ValueError(f"set {self.set_key} has a sequence twice; each record needs its own")
+
+    @property
+    def due(self) -> DueSet:
+        """Due time of the set, and the position of an unscheduled one."""
+        return DueSet(
+            set_index=self.set_index,
+            unscheduled_index=self.unscheduled_index,
+            due_h=self.due_h,
+            due_utc_ns=self.due_utc_ns,
+            position=self.positions[0].position if self.unscheduled_index else None,
+        )
+
+    @property
+    def records(self) -> list[Shot | PulseEchoRecord]:
+        """Return shots and pulse-echo records in the order of acquisition."""
+        return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
+
+    def n_missed(self, position: str) -> int:
+        """Count the strikes or echoes of a position without a record."""
+        return sum(item.key.position == position for item in self.missed)
+
+    def n_tried(self, position: str) -> int:
+        """Count the shots of a position that were struck, with or without a record, without repetitions."""
+        return self._attempts_at(position).count(0)
+
+    def n_restrikes(self, position: str) -> int:
+        """Count the repetitions of a position's shots, with or without a record."""
+        return sum(attempt > 0 for attempt in self._attempts_at(position))
+
+    def _attempts_at(self, position: str) -> list[int]:
+        tried: list[Shot | MissedShot] = [*self.shots, *self.missed]
+        return [item.key.attempt for item in tried if item.key.position == position]

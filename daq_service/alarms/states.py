@@ -25,8 +25,8 @@ from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any
 
-from daq_service.catalogue.rows import AlarmClass, AlarmRow, AlarmState, Priority
-from hardware_drivers.measurement import SetKey
+from daq_service.catalogue.rows import AlarmClass, AlarmRow, AlarmState, EventRow, Priority
+from hardware_drivers.measurement import DueSet
 
 PRIORITIES: tuple[Priority, ...] = ("low", "medium", "high", "critical")
 SUPPRESSION = (
@@ -82,6 +82,11 @@ class Change:
     event_kind: str
     author: str | None = None
 
+    def event(self, moment: Moment) -> EventRow:
+        """Return the event of the change, to which the commit adds the row (`SetCommit.add_alarm`)."""
+        author = {} if self.author is None else {"author": self.author}
+        return moment.event("alarms", self.event_kind, author, position=self.row.position)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Moment:
@@ -92,10 +97,29 @@ class Moment:
     set_index: int | None
     unscheduled_index: int = 0
 
-    @property
-    def set_key(self) -> SetKey | None:
-        """Return the key of the assessed set; None without one."""
-        return None if self.set_index is None else SetKey(self.set_index, self.unscheduled_index)
+    @classmethod
+    def of_set(cls, due: DueSet, utc_ns: int) -> Moment:
+        """Return a moment that belongs to a set."""
+        return cls(
+            utc_ns=utc_ns,
+            due_h=due.due_h,
+            set_index=due.set_index,
+            unscheduled_index=due.unscheduled_index,
+        )
+
+    def event(
+        self, topic: str, kind: str, payload: Mapping[str, Any], *, position: str | None = None
+    ) -> EventRow:
+        """Return an event of this moment."""
+        return EventRow(
+            utc_ns=self.utc_ns,
+            topic=topic,
+            kind=kind,
+            position=position,
+            set_index=self.set_index,
+            unscheduled_index=self.unscheduled_index,
+            payload=dict(payload),
+        )
 
 
 def disabled_positions(alarms: Iterable[AlarmRow]) -> dict[str, str]:

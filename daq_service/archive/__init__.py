@@ -19,17 +19,14 @@ from daq_service.archive.records import (
     Damage,
     OpenSet,
     Places,
-    PositionRecord,
-    Results,
-    SetRecord,
     SetReference,
     SetTables,
     StoredSet,
     StoreTimings,
     due_utc_ns,
-    waveform_crc32,
 )
 from daq_service.archive.writer import FolderArchive
+from hardware_drivers.measurement import PositionRecord, Results, SetRecord, waveform_crc32
 
 __all__ = [
     "Archive",

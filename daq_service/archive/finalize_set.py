@@ -15,9 +15,9 @@ from daq_service.archive.errors import CorruptArchiveError, SetNotFoundError
 from daq_service.archive.journal.reader import read_journal
 from daq_service.archive.layout import Record, build_image
 from daq_service.archive.reader import read_records
-from daq_service.archive.records import TEMPORARY_SUFFIX, Places, Results, SetRecord, SetReference
+from daq_service.archive.records import TEMPORARY_SUFFIX, Places, SetReference
 from daq_service.shared_file import read_shared, write_durably
-from hardware_drivers.measurement import SetKey
+from hardware_drivers.measurement import Results, SetKey, SetRecord
 
 
 def finalize_set(

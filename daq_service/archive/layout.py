@@ -37,9 +37,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq_service.archive.draft import Node, add_field, add_group, image_of_draft, new_draft
-from daq_service.archive.records import SetRecord, waveform_crc32
 from daq_service.clock import format_utc
-from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+from hardware_drivers.measurement import PulseEchoRecord, SetRecord, Shot, Waveform, waveform_crc32
 from hardware_drivers.nanoseconds import NS_PER_S
 from hardware_drivers.units import unit_of
 

@@ -8,16 +8,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Protocol, runtime_checkable
 
-from daq_service.archive.records import (
-    Damage,
-    JournalDamage,
-    OpenSet,
-    Places,
-    SetRecord,
-    SetReference,
-    StoredSet,
-)
-from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot, Waveform
+from daq_service.archive.records import Damage, JournalDamage, OpenSet, Places, SetReference, StoredSet
+from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, SetRecord, Shot, Waveform
 
 
 @runtime_checkable

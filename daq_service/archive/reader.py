@@ -32,26 +32,20 @@ from daq_service.archive.journal.reader import JournaledSet, read_journal
 from daq_service.archive.layout import RESULTS
 from daq_service.archive.nexus import opened_image, read_field
 from daq_service.archive.plain import RefusedError
-from daq_service.archive.records import (
-    SETS_FOLDER,
-    Damage,
-    PositionRecord,
-    SetRecord,
-    SetReference,
-    SetTables,
-    referenced_sets,
-    waveform_crc32,
-)
+from daq_service.archive.records import SETS_FOLDER, Damage, SetReference, SetTables, referenced_sets
 from daq_service.shared_file import read_shared
 from hardware_drivers.measurement import (
     Calibration,
     MissedShot,
+    PositionRecord,
     PulseEchoRecord,
     SetKey,
+    SetRecord,
     Shot,
     ShotKey,
     Stamp,
     Waveform,
+    waveform_crc32,
 )
 
 # What h5py raises on damaged or foreign files, besides our own errors.

@@ -1,25 +1,21 @@
-"""Data types of the archive: a set of measurements, its parts, and the name of its file."""
+"""Data types of the archive: what is stored of a set, and the name of its file."""
 
 from __future__ import annotations
 
 import re
-import zlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import lru_cache
 from typing import Any, NewType
 
 from daq_service.clock import parse_utc
-from hardware_drivers.measurement import DueSet, MissedShot, PulseEchoRecord, SetKey, Shot, Waveform
+from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot
 from hardware_drivers.nanoseconds import NS_PER_S
 
 SETS_FOLDER = "sets"
 QUARANTINE_FOLDER = "quarantine"
 JOURNAL_FOLDER = "journal"
 TEMPORARY_SUFFIX = ".tmp"
-Results = Mapping[str, Mapping[str, Sequence[float | str]]]
-"""Results of a set: name of a table, name of a column, values."""
 SetReference = NewType("SetReference", str)
 """Value of the catalogue's ``sets.file``: ``sets/`` and the set's file name, in every archive."""
 Places = Mapping[int, tuple[int, int | None]]
@@ -27,137 +23,6 @@ Places = Mapping[int, tuple[int, int | None]]
 _NAME = re.compile(r"set_(\d{6,})_(\d{8}T\d{6}Z)(?:_(\d{3}))?\.h5")
 _LINES = re.compile(f"^{_NAME.pattern}$", re.MULTILINE)
 """Matching a year's names at once takes half the time."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PositionRecord:
-    """Planned records of a position in this set, and why some are missing.
-
-    Attributes
-    ----------
-    method
-        ``solitary_wave`` or ``pulse_echo``.
-    n_planned
-         Number of planned records.
-    cause
-        Why fewer were taken; empty if the set is complete.
-    serial_number
-        Serial number of the transducer; empty if unknown.
-    """
-
-    position: str
-    method: str
-    n_planned: int
-    cause: str = ""
-    label: str = ""
-    serial_number: str = ""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SetRecord:
-    """All measurements of one due time.
-
-    Attributes
-    ----------
-    due_h
-        Hours since the experiment's epoch.
-    started_utc_ns, ended_utc_ns
-        Experiment time of the first and after the last measurement.
-    positions
-        Every planned position, also those without a record.
-    missed
-         Strikes and echoes without a record.
-    outcomes
-        Sequence of a record to ``accepted`` or ``superseded`` (a repetition of the same shot counts
-        instead); a record that is not named is accepted.
-    trouble
-        The instrument's error that ended the set early, ``class: message``; empty: there was none.
-    environment
-        JSON-ready: values of supply and climate probe around the set; empty if there are none.
-    provenance
-        JSON-ready: configuration, ``configuration_hash``, host, versions, the rig's identity.
-    results
-        A copy of the catalogue's results of the set (`layout.RESULTS`), NaN for a missing value; empty if the
-        set was stored before they were computed.
-
-    Raises
-    ------
-    ValueError
-        No record at all (a set without records has no file), a record of another set or of a position that
-        is not in `positions`, or a sequence twice.
-    """
-
-    set_index: int
-    due_utc_ns: int
-    due_h: float
-    started_utc_ns: int
-    ended_utc_ns: int
-    rig_kind: str
-    positions: Sequence[PositionRecord]
-    shots: Sequence[Shot] = ()
-    echoes: Sequence[PulseEchoRecord] = ()
-    missed: Sequence[MissedShot] = ()
-    outcomes: Mapping[int, str] = field(default_factory=dict)
-    trouble: str = ""
-    environment: Mapping[str, float | str | None] = field(default_factory=dict)
-    provenance: Mapping[str, Any] = field(default_factory=dict)
-    results: Results = field(default_factory=dict)
-    unscheduled_index: int = 0
-
-    def __post_init__(self) -> None:
-        for name in ("positions", "shots", "echoes", "missed"):
-            Any.__setattr__(self, name, tuple(getattr(self, name)))
-        records = self.records
-        if not records:
-            raise ValueError(f"set {self.set_key} has no record; a set without one has rows but no file")
-        names = [position.position for position in self.positions]
-        if len(set(names)) != len(names):
-            raise ValueError(f"set {self.set_key} names a position twice: {names}")
-        for record in records:
-            if record.key.set_key != self.set_key or record.key.position not in names:
-                raise ValueError(
-                    f"shot {record.sequence} is of set {record.key.set_key}, {record.key.position!r}; "
-                    f"this is set {self.set_key} of positions {names}"
-                )
-        if len({record.sequence for record in records}) != len(records):
-            raise ValueError(f"set {self.set_key} has a sequence twice; each record needs its own")
-
-    @property
-    def set_key(self) -> SetKey:
-        """Return the key of the set."""
-        return SetKey(self.set_index, self.unscheduled_index)
-
-    @property
-    def due(self) -> DueSet:
-        """Due time of the set, and the position of an unscheduled one."""
-        return DueSet(
-            set_index=self.set_index,
-            unscheduled_index=self.unscheduled_index,
-            due_h=self.due_h,
-            due_utc_ns=self.due_utc_ns,
-            position=self.positions[0].position if self.unscheduled_index else None,
-        )
-
-    @property
-    def records(self) -> list[Shot | PulseEchoRecord]:
-        """Return shots and pulse-echo records in the order of acquisition."""
-        return sorted((*self.shots, *self.echoes), key=lambda record: record.sequence)
-
-    def n_missed(self, position: str) -> int:
-        """Count the strikes or echoes of a position without a record."""
-        return sum(item.key.position == position for item in self.missed)
-
-    def n_tried(self, position: str) -> int:
-        """Count the shots of a position that were struck, with or without a record, without repetitions."""
-        return self._attempts_at(position).count(0)
-
-    def n_restrikes(self, position: str) -> int:
-        """Count the repetitions of a position's shots, with or without a record."""
-        return sum(attempt > 0 for attempt in self._attempts_at(position))
-
-    def _attempts_at(self, position: str) -> list[int]:
-        tried: list[Shot | MissedShot] = [*self.shots, *self.missed]
-        return [item.key.attempt for item in tried if item.key.position == position]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -254,16 +119,6 @@ class Damage:
         if self.position is None:
             return self.reason
         return f"shot {self.shot_index} of {self.position} (sequence {self.sequence}): {self.reason}"
-
-
-@lru_cache(maxsize=64)
-def waveform_crc32(waveform: Waveform) -> int:
-    """Return the CRC-32 (zlib's) of a record's counts as little-endian bytes.
-
-    Cached, since file, acknowledgement and catalogue need the CRC-32 of the same, immutable waveform.
-    """
-    counts = waveform.counts
-    return zlib.crc32(counts.astype(counts.dtype.newbyteorder("<"), order="C", copy=False).data)
 
 
 def set_reference(set_key: SetKey, due_utc_ns: int) -> SetReference:

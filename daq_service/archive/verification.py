@@ -17,7 +17,8 @@ from daq_service.archive.errors import CorruptArchiveError, SetNotFoundError
 from daq_service.archive.layout import build_image
 from daq_service.archive.nexus import opened_image
 from daq_service.archive.reader import HDF5_ERRORS, examine, read_stored, unreadable_parts
-from daq_service.archive.records import Damage, SetRecord
+from daq_service.archive.records import Damage
+from hardware_drivers.measurement import SetRecord
 
 log = logging.getLogger(__name__)
 

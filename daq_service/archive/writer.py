@@ -22,15 +22,13 @@ from daq_service.archive.records import (
     TEMPORARY_SUFFIX,
     OpenSet,
     Places,
-    SetRecord,
     SetReference,
     StoredSet,
     StoreTimings,
     set_reference,
-    waveform_crc32,
 )
 from daq_service.shared_file import patiently, remove_quietly, sync_folder
-from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot
+from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, SetRecord, Shot, waveform_crc32
 
 _REMEDY = {
     errno.ENOSPC: "free some space",

@@ -11,7 +11,7 @@ import orjson
 from sqlalchemy import Engine, create_engine
 from sqlalchemy.pool import QueuePool
 
-from daq_service.catalogue import stored_rows
+from daq_service.catalogue import errors
 from daq_service.catalogue.stored_rows import begin_transactions, json_text
 from daq_service.shared_file import patiently
 
@@ -33,7 +33,7 @@ def make_engine(path: Path, *, writable: bool, durable: bool = True) -> Engine:
         immutable = "&immutable=1" if not writable and _cannot_change(path) else ""
         uri = f"{path.absolute().as_uri()}?mode={mode}{immutable}"
         connection = sqlite3.connect(
-            uri, uri=True, timeout=stored_rows.BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
+            uri, uri=True, timeout=errors.BUSY_TIMEOUT_S, isolation_level=None, check_same_thread=False
         )
         try:
             if writable:

@@ -10,10 +10,10 @@ from sqlalchemy import Connection, Table, select, text
 from sqlalchemy.exc import SQLAlchemyError
 
 from daq_service.catalogue.connection import FILE_NAME, make_engine
-from daq_service.catalogue.errors import CatalogueDamagedError
+from daq_service.catalogue.errors import REMEDY, CatalogueDamagedError
 from daq_service.catalogue.reported_rows import lost_rows
 from daq_service.catalogue.rows import Row
-from daq_service.catalogue.stored_rows import REMEDY, DamagedRow, checked
+from daq_service.catalogue.stored_rows import DamagedRow, checked
 from daq_service.catalogue.tables import KINDS, TABLES, events
 
 UNREADABLE = (SQLAlchemyError, UnicodeDecodeError)

@@ -6,101 +6,36 @@ are read. No current name is also an earlier one of the same table, so current r
 
 from __future__ import annotations
 
+import tomllib
 import uuid
 from collections.abc import Mapping
-from types import MappingProxyType
+from pathlib import Path
 from typing import Any
 
 from daq_service.settings.alarm_delays import EARLIER_ALARM_KINDS
 from hardware_drivers.measurement import SetKey
 
-COMMAND_KINDS: Mapping[str, str] = MappingProxyType(
-    {
-        "hold": "pause",
-        "release": "resume",
-        "retire": "disable",
-        "reinstate": "enable",
-        "confirm": "strike",
-    }
-)
-TOPICS: Mapping[str, str] = MappingProxyType({"verdicts": "assessments"})
-EVENT_KINDS: Mapping[str, str] = MappingProxyType(
-    {
-        "set_retired": "set_disabled",
-        "set_judged": "set_assessed",
-        "alarm_returned": "alarm_reactivated",
-        "alarm_worsened": "alarm_priority_raised",
-        "alarm_proof_added": "alarm_evidence_added",
-        "data_damaged": "data_corrupt",
-        "hold": "pause",
-        "release": "resume",
-    }
-)
-_DIAGNOSIS = {
-    "cause": "diagnosis",
-    "cause_probability": "diagnosis_probability",
-    "cause_told": "diagnosis_details",
-    "chart": "mewma_statistic",
-}
-_RATE = {"rate_guaranteed": "rate_verified", "why_not_guaranteed": "rate_not_verified_reason"}
-_LIMITS = {"limit_f": "limit_f_predictive", "limit_paper": "limit_mean_3sd"}
-_LIMIT_NAMES = {"chart": "mewma"}
-COLUMNS: Mapping[str, Mapping[str, str]] = MappingProxyType(
-    {
-        "baselines": {**_LIMITS, "readiness": "baseline_quality", "retired_because": "retired_reason"},
-        "assessments": {
-            **_DIAGNOSIS,
-            **_LIMITS,
-            "outlier_paper": "outlier_mean_3sd",
-            "chart_alarm": "mewma_alarm",
-        },
-        "alarms": {
-            "family": "alarm_class",
-            "severity": "priority",
-            "proof": "evidence",
-            "suppressed_because": "suppressed_reason",
-        },
-    }
-)
+_NAMES = tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
+COMMAND_KINDS: Mapping[str, str] = _NAMES["command_kinds"]
+TOPICS: Mapping[str, str] = _NAMES["topics"]
+EVENT_KINDS: Mapping[str, str] = _NAMES["event_kinds"]
+COLUMNS: Mapping[str, Mapping[str, str]] = _NAMES["columns"]
 """Earlier and current names of the columns of each table."""
-_KEYS: Mapping[str, Mapping[str, str]] = {
-    **COLUMNS,
-    "baseline_quality": {**_RATE, "default_because": "default_reason"},
-    "evidence": {**_DIAGNOSIS, **_RATE, "poor_sets_running": "consecutive_poor_sets"},
-    "confirmation": {"why_not": "reason"},
-    "service": {"because": "reason", "told": "description", "held": "paused"},
-    "sets": {"cause": "reason"},
-    "audit": {"who": "author", "why": "reason"},
-    "limits": _LIMIT_NAMES,
-    "averages": _LIMIT_NAMES,
-}
+_KEYS: Mapping[str, Mapping[str, str]] = {**COLUMNS, **_NAMES["keys"]}
 _VALUES: Mapping[tuple[str, str], Mapping[str, str]] = {
-    ("sets", "state"): {"retired": "disabled"},
-    ("assessments", "diagnosis"): {"cannot tell": "undetermined"},
-    ("evidence", "diagnosis"): {"cannot tell": "undetermined"},
-    ("evidence", "raised_by"): {"cause": "diagnosis", **_LIMIT_NAMES},
-    ("evidence", "limit_name"): _LIMIT_NAMES,
-    ("assessments", "limit_name"): _LIMIT_NAMES,
+    **{
+        (table, name): names for table, columns in _NAMES["values"].items() for name, names in columns.items()
+    },
     ("alarms", "kind"): EARLIER_ALARM_KINDS,
-    ("alarms", "alarm_class"): {"device": "diagnostic"},
+    ("commands", "kind"): COMMAND_KINDS,
     ("events", "topic"): TOPICS,
     ("events", "kind"): EVENT_KINDS,
-    ("commands", "kind"): COMMAND_KINDS,
-    ("commands", "state"): {"refused": "rejected"},
-    ("audit", "result"): {"refused": "rejected"},
-    **{
-        (table, name): {"lost": "no_communication"}
-        for table in ("environment", "evidence")
-        for name in ("supply_quality", "climate_quality")
-    },
 }
 _NESTED = ("baseline_quality", "evidence", "confirmation", "limits", "averages")
-SET_COLUMNS: Mapping[str, str] = MappingProxyType(
-    {
-        name: name.replace("set_index", "unscheduled_index")
-        for name in ("set_index", "raised_set_index", "confirmation_set_index")
-    }
-)
+SET_COLUMNS: Mapping[str, str] = {
+    name: name.replace("set_index", "unscheduled_index")
+    for name in ("set_index", "raised_set_index", "confirmation_set_index")
+}
 """Columns and keys that identified any set by one number, and the second part of the key that replaces it."""
 
 

@@ -16,9 +16,14 @@
 
 from __future__ import annotations
 
+import sqlite3
 from pathlib import Path
 
 from daq_service.errors import StorageError, StorageUnavailableError
+
+REMEDY = "`solimon rebuild` makes it again from sets, journal and history, and keeps this one beside it"
+BUSY_TIMEOUT_S = 5.0
+"""Wait of a writer for another one; a set's commit takes milliseconds."""
 
 
 class CatalogueError(StorageError):
@@ -65,3 +70,23 @@ class CatalogueWriteError(CatalogueError, StorageUnavailableError):
 
 class CatalogueConflictError(CatalogueError):
     """A change contradicts what is stored; nothing of it was stored."""
+
+
+def error_of_driver(path: Path, action: str, error: BaseException | None) -> CatalogueError:
+    """Return the error of the catalogue for an error of the driver."""
+    code = getattr(error, "sqlite_errorcode", 0) & 0xFF
+    message = f"{path}: {action} failed: {error}"
+    if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
+        return CatalogueBusyError(f"{message} for {BUSY_TIMEOUT_S:g} s; end the program that holds it")
+    # The queries never change: they fail for a missing or invalid value in a corrupt file only.
+    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, 0):
+        return CatalogueDamagedError(f"{message}; {REMEDY}")
+    if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
+        return CatalogueWriteError(f"{message}; nothing of it was stored: free or mend the disk")
+    if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
+        return CatalogueWriteError(f"{message}; give this user the right to write the folder")
+    if code == sqlite3.SQLITE_CONSTRAINT:
+        return CatalogueConflictError(
+            f"{message}; nothing of it was stored: such a row exists, or lacks what it belongs to"
+        )
+    return CatalogueError(message)

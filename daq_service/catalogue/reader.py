@@ -31,7 +31,7 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     values,
 )
-from daq_service.catalogue.stored_rows import checked_rows, checked_values, storable, translated, writing
+from daq_service.catalogue.stored_rows import checked_rows, checked_values, insert_rows, translated, writing
 from daq_service.catalogue.tables import (
     RARE_TOPICS,
     TABLES,
@@ -510,8 +510,7 @@ def stored_command(connection: sa.Connection, row: CommandRow) -> int:
     row = replace(
         row, id=int(connection.execute(sa.select(sa.func.max(commands.c.id))).scalar_one() or 0) + 1
     )
-    connection.execute(sa.insert(commands), storable(row))
-    return row.id
+    return insert_rows(connection, [row])[0]
 
 
 def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[Any]:

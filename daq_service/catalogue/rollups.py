@@ -16,7 +16,7 @@ from typing import TypeVar, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import ColumnElement, Connection, bindparam, delete, insert, select
+from sqlalchemy import BindParameter, ColumnElement, Connection, bindparam, delete, select
 
 from analysis.statistics.bins import bin_type, bins_of_sets, joined_bins
 from analysis.statistics.levels import FACTOR, level_widths
@@ -35,7 +35,14 @@ from daq_service.catalogue.rows import (
     ThicknessRow,
     TrendBlockRow,
 )
-from daq_service.catalogue.stored_rows import DamagedRow, checked_rows, checked_values, storable
+from daq_service.catalogue.stored_rows import (
+    DamagedRow,
+    Prepared,
+    checked_rows,
+    checked_values,
+    insert_rows,
+    prepared,
+)
 from daq_service.catalogue.tables import TABLES, alarms, sets, trend_blocks
 
 log = logging.getLogger(__name__)
@@ -95,30 +102,40 @@ class Blocks:
         # Numbers of equal length: so keys sort in the order of the sets.
         return f"{self.place.position}/{self.rollup.name}/{self.width:010d}/{first:010d}"
 
-    @property
-    def in_range(self) -> ColumnElement[bool]:
-        """Return the SQL condition that selects the stored blocks."""
-        place = trend_blocks.c.place
-        return (place >= self.key(self.first)) & (place < self.key(self.end))
-
 
 def values_of(kind: Kind) -> tuple[str, ...]:
     """Return the names of the values of a bin, in order."""
     return (*MEASURED[kind], *ASSESSED_VALUES)
 
 
-def of_sets(kind: type[Row], position: str, first: int, end: int) -> ColumnElement[bool]:
-    """Return the condition for the rows of a range of scheduled sets."""
+def of_sets(kind: type[Row], position: object, first: object, last: object) -> ColumnElement[bool]:
+    """Return the condition for the rows of a range of scheduled sets, both ends included."""
     table = TABLES[kind]
-    of_sets = (table.c.position == position) & table.c.set_index.between(first, end - 1)
+    of_sets = (table.c.position == position) & table.c.set_index.between(first, last)
     return of_sets & table.c.shot_index.is_(None) if kind is FeatureRow else of_sets
+
+
+_RANGE: tuple[BindParameter[object], ...] = bindparam("of_position"), bindparam("first"), bindparam("last")
+_OF_RANGE: dict[type[Row], Prepared] = {
+    kind: prepared(select(TABLES[kind]).where(of_sets(kind, *_RANGE)).order_by(TABLES[kind].c.set_index))
+    for kind in (SetRow, AssessmentRow, *MEASURED_BY.values())
+}
+_RAISED = prepared(
+    select(alarms).where(
+        alarms.c.position == _RANGE[0],
+        alarms.c.raised_set_index.between(_RANGE[1], _RANGE[2]),
+        alarms.c.raised_unscheduled_index == 0,
+    )
+)
+_BLOCKS = (trend_blocks.c.place >= bindparam("first")) & (trend_blocks.c.place < bindparam("end"))
+_STORED = prepared(select(trend_blocks).where(_BLOCKS).order_by(trend_blocks.c.place))
+_DELETE = prepared(delete(trend_blocks).where(_BLOCKS))
 
 
 def _rows(connection: Connection, kind: type[R], position: str, first: int, end: int) -> list[R]:
     """Read the rows of a range of scheduled sets."""
-    table = TABLES[kind]
-    statement = select(table).where(of_sets(kind, position, first, end)).order_by(table.c.set_index)
-    return list(checked_rows(connection, kind, statement))
+    of_range = {"of_position": position, "first": first, "last": end - 1}
+    return list(checked_rows(connection, kind, _OF_RANGE[kind], **of_range))
 
 
 def _bins(connection: Connection, place: PositionRange, first: int, end: int) -> Pieces:
@@ -126,10 +143,9 @@ def _bins(connection: Connection, place: PositionRange, first: int, end: int) ->
     set_rows = _rows(connection, SetRow, place.position, first, end)
     results = {row.set_index: row for row in _rows(connection, place.kind, place.position, first, end)}
     assessments = {row.set_index: row for row in _rows(connection, AssessmentRow, place.position, first, end)}
-    in_range = (alarms.c.raised_set_index >= first) & (alarms.c.raised_set_index < end)
-    scheduled = alarms.c.raised_unscheduled_index == 0
-    raised = select(alarms).where(alarms.c.position == place.position, in_range, scheduled)
-    n_alarms = Counter(row.raised_set_index for row in checked_rows(connection, AlarmRow, raised))
+    of_range = {"of_position": place.position, "first": first, "last": end - 1}
+    raised = checked_rows(connection, AlarmRow, _RAISED, **of_range)
+    n_alarms = Counter(row.raised_set_index for row in raised)
     names = MEASURED[place.kind]
     values = [
         [
@@ -202,8 +218,9 @@ def joined_pieces(rollup: Rollup, pieces: Pieces, width: int) -> Pieces:
 
 def stored_blocks(connection: Connection, blocks: Blocks) -> list[tuple[str, bytes]]:
     """Read keys and contents of stored blocks."""
-    statement = select(trend_blocks).where(blocks.in_range).order_by(trend_blocks.c.place)
-    return [(key, block) for key, block, _ in checked_values(connection, TrendBlockRow, statement)]
+    of_range = {"first": blocks.key(blocks.first), "end": blocks.key(blocks.end)}
+    stored = checked_values(connection, TrendBlockRow, _STORED, **of_range)
+    return [(key, block) for key, block, _ in stored]
 
 
 def stored_pieces(connection: Connection, blocks: Blocks) -> Pieces:
@@ -229,15 +246,13 @@ def computed_blocks(connection: Connection, blocks: Blocks) -> list[TrendBlockRo
 def store_blocks(connection: Connection, blocks: Blocks) -> None:
     """Compute and store the blocks of a range."""
     rows = computed_blocks(connection, blocks)
-    connection.execute(delete(trend_blocks).where(blocks.in_range))
-    if rows:
-        connection.execute(insert(trend_blocks), [storable(row) for row in rows])
+    _DELETE.execute(connection, first=blocks.key(blocks.first), end=blocks.key(blocks.end))
+    insert_rows(connection, rows)
 
 
-# Built once: building it costs more than executing it.
-_NEWEST = (
+_NEWEST = prepared(
     select(sets.c.set_index, sets.c.method)
-    .where(sets.c.position == bindparam("position"), in_plan(sets))
+    .where(sets.c.position == bindparam("of_position"), in_plan(sets))
     .order_by(sets.c.set_index.desc())
     .limit(1)
 )
@@ -245,10 +260,11 @@ _NEWEST = (
 
 def position_range_of(connection: Connection, position: str) -> PositionRange | None:
     """Return the kind of rows and the end of a position; None without sets."""
-    found = connection.execute(_NEWEST, {"position": position}).first()
+    found = _NEWEST.execute(connection, of_position=position).fetchone()
     if found is None:
         return None
-    return PositionRange(position=position, kind=MEASURED_BY[found.method], end=found.set_index + 1)
+    set_index, method = found
+    return PositionRange(position=position, kind=MEASURED_BY[method], end=set_index + 1)
 
 
 # Kept up ---------------------------------------------------------------------------------------------
@@ -265,13 +281,13 @@ def touched_sets(rows: Iterable[Row]) -> dict[str, set[int]]:
     touched: dict[str, set[int]] = {}
     for row in rows:
         if isinstance(row, AlarmRow):
-            key, position = row.raised_set_key, row.position
+            index, unscheduled_index = row.raised_set_index, row.raised_unscheduled_index
         elif isinstance(row, RowOfSet):
-            key, position = row.set_key, row.position
+            index, unscheduled_index = row.set_index, row.unscheduled_index
         else:
             continue
-        if position is not None and key is not None and not key.unscheduled_index:
-            touched.setdefault(position, set()).add(key.set_index)
+        if row.position is not None and index is not None and not unscheduled_index:
+            touched.setdefault(row.position, set()).add(index)
     return touched
 
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields
 from types import MappingProxyType, NoneType
 from typing import TYPE_CHECKING, Annotated, Any, Literal, get_args, get_origin, get_type_hints
 
-from hardware_drivers.measurement import Purpose, SetKey
+from hardware_drivers.measurement import OfSet, Purpose, SetKey
 from hardware_drivers.methods import PULSE_ECHO, SOLITARY_WAVE, Method
 
 Quality = Literal["good", "suspect", "bad"]
@@ -39,25 +39,12 @@ class Row:
     __slots__: tuple[str, ...] = ()  # of a dataclass with slots: the names of its columns, in order
 
 
-class RowOfSet(Row):
-    """Base of the rows of a set.
-
-    Attributes
-    ----------
-    position, set_index, unscheduled_index
-        Position, index of the scheduled set, and number of the unscheduled set after it (0: none).
-    """
+class RowOfSet(OfSet, Row):
+    """Base of the rows of a set at a position."""
 
     __slots__ = ()
-    if TYPE_CHECKING:  # the columns are those of the rows
+    if TYPE_CHECKING:  # the column is that of the rows
         position: str
-        set_index: int
-        unscheduled_index: int
-
-    @property
-    def set_key(self) -> SetKey:
-        """Return the key of the set."""
-        return SetKey(self.set_index, self.unscheduled_index)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

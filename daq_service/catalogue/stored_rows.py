@@ -2,7 +2,7 @@
 
 The checksum covers the values of the row's dataclass, id included, except None and the zero of a scheduled
 set (`_SCHEDULED`): such a new column does not change the checksum of older rows. A migration that changes
-anything else sets `ROW_CRC32` to NULL, and `seal_unsealed` computes it again.
+anything else sets `ROW_CRC32` to NULL, and `migrations` compute it again.
 """
 
 from __future__ import annotations
@@ -11,55 +11,69 @@ import math
 import sqlite3
 import time
 import zlib
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import replace
+from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Any, TypeVar
 
-import numpy as np
 import orjson
-from sqlalchemy import Connection, Engine, Select, bindparam, event, select, update
-from sqlalchemy.exc import DBAPIError, OperationalError, SQLAlchemyError
-
-from daq_service.catalogue.errors import (
-    CatalogueBusyError,
-    CatalogueConflictError,
-    CatalogueDamagedError,
-    CatalogueError,
-    CatalogueWriteError,
+from sqlalchemy import (
+    JSON,
+    Boolean,
+    ColumnElement,
+    Connection,
+    Engine,
+    Float,
+    Integer,
+    LargeBinary,
+    Select,
+    String,
+    bindparam,
+    event,
+    func,
+    insert,
+    select,
+    update,
 )
-from daq_service.catalogue.rows import Column, Row, columns_of
-from daq_service.catalogue.tables import KINDS, ROW_CRC32, TABLES
+from sqlalchemy.dialects import sqlite
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+from sqlalchemy.sql.elements import CompilerElement
+
+from daq_service.catalogue import errors
+from daq_service.catalogue.errors import REMEDY, CatalogueDamagedError, CatalogueError, error_of_driver
+from daq_service.catalogue.rows import Row
+from daq_service.catalogue.tables import KINDS, TABLES
 
 R = TypeVar("R", bound=Row)
 
-_AS_READ: Mapping[object, Callable[[Any], Any]] = {
-    # SQLite does not store negative zero, and returns an integer in a REAL column as a float.
-    float: lambda value: float(value) + 0.0,
-    int: int,
-    bool: bool,
-    bytes: zlib.crc32,  # JSON has no bytes
+_PYTHON_TYPES = {JSON: dict, Boolean: bool, LargeBinary: bytes, Float: float, Integer: int, String: str}
+
+
+def _type_of(column: ColumnElement[Any]) -> type:
+    """Return the Python type of a column; ``dict`` is JSON."""
+    return next(of_type for sql, of_type in _PYTHON_TYPES.items() if isinstance(column.type, sql))
+
+
+_TYPES = {kind: [(name, _type_of(TABLES[kind].c[name])) for name in kind.__slots__] for kind in KINDS}
+"""Name and type of each column."""
+_VALUES = {kind: attrgetter(*kind.__slots__) for kind in KINDS}
+_BYTES = {kind: [name for name, of_type in columns if of_type is bytes] for kind, columns in _TYPES.items()}
+_READ_AS = {
+    kind: [
+        (number, orjson.loads if of_type is dict else bool)
+        for number, (_, of_type) in enumerate(columns)
+        if of_type in (bool, dict)
+    ]
+    for kind, columns in _TYPES.items()
 }
-
-
-def _reading_of(column: Column) -> Callable[[Any], Any] | None:
-    """Return the conversion of a column's values before the checksum."""
-    alternatives = get_args(column.type) if column.nullable else (column.type,)
-    return next((_AS_READ[of_type] for of_type in alternatives if of_type in _AS_READ), None)
-
-
-_COLUMNS = {kind: [(column.name, _reading_of(column)) for column in columns_of(kind)] for kind in KINDS}
-_BYTES = {kind: [name for name, read in columns if read is zlib.crc32] for kind, columns in _COLUMNS.items()}
+"""Conversion of the columns that SQLite returns as another type, by their number."""
 _SCHEDULED = ("unscheduled_index", "raised_unscheduled_index")
-_PLAIN = {str, int, bool, type(None)}
 _WRITES = "solimon_writes"
-BUSY_TIMEOUT_S = 5.0
-"""Wait of a writer for another one; a set's commit takes milliseconds."""
 LOCKED_FOR_S = 60.0
 """After a timeout a writer does not wait for this time, or until it gets the lock: the transactions of one
 set wait only once together."""
-REMEDY = "`solimon rebuild` makes it again from sets, journal and history, and keeps this one beside it"
 _ROWS_AT_ONCE = 256
 """Rows per fetch: one by one takes an eighth longer."""
 
@@ -68,56 +82,112 @@ class DamagedRow(Exception):  # noqa: N818 - an error once the file is known (`t
     """A row does not match its checksum."""
 
 
-def plain(value: Any) -> Any:
-    """Return a scalar as Python's own type; NaN and infinities become None."""
-    if type(value) in _PLAIN:  # nearly every value
-        return value
-    if isinstance(value, np.generic):
-        value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+@dataclass(frozen=True, slots=True)
+class Prepared:
+    """A statement in the driver's words: SQLAlchemy's part of an execution is several times SQLite's own."""
+
+    text: str
+    parameters: tuple[tuple[str, object], ...]
+    """Name and value of each parameter; a missing value is None."""
+
+    def execute(self, connection: Connection, **given: object) -> sqlite3.Cursor:
+        """Execute the statement in the connection's transaction."""
+        return driver_of(connection).execute(
+            self.text, [given.get(name, value) for name, value in self.parameters]
+        )
+
+
+def prepared(statement: CompilerElement, column_keys: Sequence[str] | None = None) -> Prepared:
+    """Compile a statement that is executed often; its parameters have fixed numbers."""
+    compiled = statement.compile(dialect=_DIALECT, column_keys=column_keys)
+    names = compiled.positiontup or []  # type: ignore[attr-defined] # of the compiler of SQL
+    return Prepared(str(compiled), tuple((name, compiled.params.get(name)) for name in names))
+
+
+def driver_of(connection: Connection) -> sqlite3.Connection:
+    """Return the driver's connection, in the same transaction."""
+    return connection.connection.driver_connection  # type: ignore[return-value] # the engine is SQLite's
+
+
+_DIALECT = sqlite.dialect()
+_KEY = "key_of_the_row"
+_INSERT = {kind: prepared(insert(table), list(table.columns.keys())) for kind, table in TABLES.items()}
+_UPDATE = {
+    kind: prepared(
+        update(table).where(table.primary_key.columns[0] == bindparam(_KEY)), list(table.columns.keys())[1:]
+    )
+    for kind, table in TABLES.items()
+}
+_NEWEST_ID = {
+    kind: prepared(select(func.max(table.c.id))) for kind, table in TABLES.items() if "id" in table.c
+}
 
 
 def row_crc32(row: Row) -> int:
     """Compute the CRC-32 of a row, the same before it is stored and after it is read."""
-    return int(storable(row)[ROW_CRC32])
+    return int(_stored(row)[-1])
 
 
-def storable(row: Row) -> dict[str, Any]:
-    """Return the stored form of a row with id and checksum: NaN and infinities are NULL."""
-    stored = {name: plain(getattr(row, name)) for name in row.__slots__}
-    columns = {}
-    for name, as_read in _COLUMNS[type(row)]:
-        value = stored[name]
-        if value is not None:
-            columns[name] = value if as_read is None else as_read(value)
-    _drop_zeros(columns)
-    return {**stored, ROW_CRC32: zlib.crc32(orjson.dumps(columns, option=orjson.OPT_SERIALIZE_NUMPY))}
+def _stored(row: Row, new_id: int | None = None) -> list[Any]:
+    """Return the values of a row for the driver, the checksum last: NaN and infinities are NULL."""
+    kind = type(row)
+    stored: list[Any] = []
+    columns: dict[str, object] = {}
+    for (name, of_type), given in zip(_TYPES[kind], _VALUES[kind](row), strict=True):
+        value: Any = new_id if given is None and not stored else given
+        if value is None:
+            pass
+        elif of_type is float:
+            # SQLite does not store negative zero, and returns an integer in a REAL column as a float.
+            value = float(value) + 0.0
+            if math.isfinite(value):
+                columns[name] = value
+            else:
+                value = None
+        elif of_type is dict:
+            value = json_text(value)
+            columns[name] = orjson.Fragment(value)
+        elif of_type is bytes:
+            columns[name] = zlib.crc32(value)  # JSON has no bytes
+        else:
+            value = columns[name] = of_type(value)
+        stored.append(value)
+    stored.append(_crc32(columns))
+    return stored
 
 
-def _drop_zeros(columns: dict[str, object]) -> None:
-    """Remove the columns that have no part in the checksum of a scheduled set's row."""
+def _crc32(columns: dict[str, object]) -> int:
+    """Return the checksum of the columns that are not None."""
     for name in _SCHEDULED:
         if columns.get(name) == 0:
             del columns[name]
+    return zlib.crc32(orjson.dumps(columns))
 
 
-def numbered(connection: Connection, rows: Sequence[R]) -> list[R]:
-    """Assign ids to rows, since the checksum covers them; the caller holds the write lock."""
-    if not any(getattr(row, "id", 0) is None for row in rows):
-        return list(rows)
-    table = TABLES[type(rows[0])]
-    newest = connection.exec_driver_sql(f"select max(id) from {table.name}")
-    next_id = int(newest.scalar_one() or 0) + 1
-    numbered_rows = []
+def insert_rows(connection: Connection, rows: Sequence[Row]) -> list[int]:
+    """Insert rows of one kind and return their ids; the caller holds the write lock.
+
+    A row without an id gets the next one here, since the checksum covers it.
+    """
+    if not rows:
+        return []
+    kind = type(rows[0])
+    next_id = 0
+    if any(getattr(row, "id", 0) is None for row in rows):
+        next_id = (_NEWEST_ID[kind].execute(connection).fetchone()[0] or 0) + 1
+    stored = []
     for row in rows:
-        if row.id is not None:  # type: ignore[attr-defined] # only kinds of rows with an id come here
-            numbered_rows.append(row)
-        else:
-            numbered_rows.append(replace(row, id=next_id))  # type: ignore[type-var] # every kind of row is a dataclass
-        next_id = max(next_id, numbered_rows[-1].id + 1)  # type: ignore[attr-defined]
-    return numbered_rows
+        stored.append(_stored(row, next_id))
+        if next_id:
+            next_id = max(next_id, stored[-1][0] + 1)
+    driver_of(connection).executemany(_INSERT[kind].text, stored)
+    return [row[0] for row in stored]
+
+
+def change_row(connection: Connection, row: Row) -> bool:
+    """Replace the row with the same id; return False if there is none."""
+    row_id, *stored = _stored(row)
+    return driver_of(connection).execute(_UPDATE[type(row)].text, [*stored, row_id]).rowcount == 1
 
 
 def _row_of(kind: type[R], stored: Sequence[Any]) -> R:
@@ -128,12 +198,11 @@ def _row_of(kind: type[R], stored: Sequence[Any]) -> R:
 def _check_checksum(kind: type[Row], stored: Sequence[Any]) -> None:
     """Raise DamagedRow if stored values do not match their checksum."""
     columns = {name: value for name, value in zip(kind.__slots__, stored, strict=False) if value is not None}
-    _drop_zeros(columns)
     try:
         for name in _BYTES[kind]:
             if name in columns:
                 columns[name] = zlib.crc32(columns[name])
-        crc32: int | None = zlib.crc32(orjson.dumps(columns))
+        crc32: int | None = _crc32(columns)
     except (TypeError, ValueError, OverflowError):  # text where bytes were, or no UTF-8
         crc32 = None
     if crc32 is None or crc32 != stored[-1]:
@@ -157,7 +226,9 @@ def checked(kind: type[R], stored: Sequence[Any]) -> R:
     return _row_of(kind, stored)
 
 
-def checked_rows(connection: Connection, kind: type[R], statement: Select[Any]) -> Iterator[R]:
+def checked_rows(
+    connection: Connection, kind: type[R], statement: Select[Any] | Prepared, **given: object
+) -> Iterator[R]:
     """Return the complete rows of a query, each compared with its checksum.
 
     Raises
@@ -165,36 +236,36 @@ def checked_rows(connection: Connection, kind: type[R], statement: Select[Any]) 
     DamagedRow
          A row does not match its checksum, or a value has the wrong type.
     """
-    return (_row_of(kind, stored) for stored in checked_values(connection, kind, statement))
+    return (_row_of(kind, stored) for stored in checked_values(connection, kind, statement, **given))
 
 
 def checked_values(
-    connection: Connection, kind: type[Row], statement: Select[Any]
+    connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, **given: object
 ) -> Iterator[Sequence[Any]]:
     """Yield the values of complete rows: every column of the table, the checksum last."""
     try:
-        for rows in connection.execute(
-            statement, execution_options={"yield_per": _ROWS_AT_ONCE}
-        ).partitions():
-            for stored in rows:
-                _check_checksum(kind, stored)
-                yield stored
+        for stored in _found(connection, kind, statement, given):
+            _check_checksum(kind, stored)
+            yield stored
     except (TypeError, ValueError, OverflowError) as error:  # no JSON, no truth value, no UTF-8
         raise DamagedRow(f"a row of table {TABLES[kind].name} is not what was stored: {error}") from error
 
 
-def seal_unsealed(connection: Connection) -> None:
-    """Compute the checksums of rows without one."""
-    for kind in KINDS:
-        table = TABLES[kind]
-        key = table.primary_key.columns[0]
-        columns = [table.c[name] for name in kind.__slots__]
-        rows_without: Iterable[Any] = connection.execute(select(*columns).where(table.c[ROW_CRC32].is_(None)))
-        rows = (kind(**dict(zip(kind.__slots__, stored, strict=True))) for stored in rows_without)
-        checksums = [{"its_key": getattr(row, key.name), "its_crc32": row_crc32(row)} for row in rows]
-        if checksums:
-            statement = update(table).where(key == bindparam("its_key"))
-            connection.execute(statement.values({ROW_CRC32: bindparam("its_crc32")}), checksums)
+def _found(
+    connection: Connection, kind: type[Row], statement: Select[Any] | Prepared, given: dict[str, object]
+) -> Iterator[Sequence[Any]]:
+    """Yield the values of a query's rows."""
+    if isinstance(statement, Select):
+        result = connection.execute(statement, given, execution_options={"yield_per": _ROWS_AT_ONCE})
+        for rows in result.partitions():
+            yield from rows
+        return
+    for found in statement.execute(connection, **given):
+        stored = list(found)
+        for number, read_as in _READ_AS[kind]:
+            if stored[number] is not None:
+                stored[number] = read_as(stored[number])
+        yield stored
 
 
 # Transactions ---------------------------------------------------------------------------------------
@@ -213,14 +284,14 @@ def begin_transactions(engine: Engine) -> None:
     def _begin_transaction(connection: Connection) -> None:
         nonlocal timed_out_s
         if not connection.get_execution_options().get(_WRITES, False):
-            connection.exec_driver_sql("BEGIN")
+            driver_of(connection).execute("BEGIN")
             return
         # Writers wait for each other at the start of a transaction; SQLite cannot wait later.
-        wait_s = 0.0 if time.monotonic() < timed_out_s + LOCKED_FOR_S else BUSY_TIMEOUT_S
-        connection.exec_driver_sql(f"PRAGMA busy_timeout = {round(1e3 * wait_s)}")
+        wait_s = 0.0 if time.monotonic() < timed_out_s + LOCKED_FOR_S else errors.BUSY_TIMEOUT_S
+        driver_of(connection).execute(f"PRAGMA busy_timeout = {round(1e3 * wait_s)}")
         try:
-            connection.exec_driver_sql("BEGIN IMMEDIATE")
-        except OperationalError:
+            driver_of(connection).execute("BEGIN IMMEDIATE")
+        except sqlite3.OperationalError:
             timed_out_s = time.monotonic() if wait_s else timed_out_s
             raise
         timed_out_s = -math.inf
@@ -246,27 +317,9 @@ def translated(path: Path, action: str) -> Iterator[None]:
         yield
     except (DamagedRow, UnicodeDecodeError) as error:  # SQLite may return a corrupt name that is no text
         raise CatalogueDamagedError(f"{path}: {action} failed: {error}; {REMEDY}") from error
+    except sqlite3.Error as error:
+        raise error_of_driver(path, action, error) from error
     except DBAPIError as error:
-        raise _translate(path, action, error.orig) from error
+        raise error_of_driver(path, action, error.orig) from error
     except SQLAlchemyError as error:
         raise CatalogueError(f"{path}: {action} failed: {error}") from error
-
-
-def _translate(path: Path, action: str, error: BaseException | None) -> CatalogueError:
-    """Return the error of the catalogue for an error of the driver."""
-    code = getattr(error, "sqlite_errorcode", 0) & 0xFF
-    message = f"{path}: {action} failed: {error}"
-    if code in (sqlite3.SQLITE_BUSY, sqlite3.SQLITE_LOCKED):
-        return CatalogueBusyError(f"{message} for {BUSY_TIMEOUT_S:g} s; end the program that holds it")
-    # The queries never change: they fail for a missing or invalid value in a corrupt file only.
-    if code in (sqlite3.SQLITE_CORRUPT, sqlite3.SQLITE_NOTADB, sqlite3.SQLITE_ERROR, 0):
-        return CatalogueDamagedError(f"{message}; {REMEDY}")
-    if code in (sqlite3.SQLITE_FULL, sqlite3.SQLITE_IOERR):
-        return CatalogueWriteError(f"{message}; nothing of it was stored: free or mend the disk")
-    if code in (sqlite3.SQLITE_READONLY, sqlite3.SQLITE_CANTOPEN, sqlite3.SQLITE_PERM):
-        return CatalogueWriteError(f"{message}; give this user the right to write the folder")
-    if code == sqlite3.SQLITE_CONSTRAINT:
-        return CatalogueConflictError(
-            f"{message}; nothing of it was stored: such a row exists, or lacks what it belongs to"
-        )
-    return CatalogueError(message)

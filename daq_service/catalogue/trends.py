@@ -153,7 +153,7 @@ def trend_part(
 def _n_measured(connection: Connection, place: PositionRange, first: int, end: int, *, limit: int) -> int:
     """Count the measured sets of a range, up to a limit."""
     table = TABLES[place.kind]
-    in_range = of_sets(place.kind, place.position, first, end)
+    in_range = of_sets(place.kind, place.position, first, end - 1)
     statement = select(table.c.set_index).where(in_range)
     return connection.execute(
         select(func.count()).select_from(statement.limit(limit).subquery())

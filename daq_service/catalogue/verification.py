@@ -17,6 +17,7 @@ from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.corruption import UNREADABLE, CatalogueCorruption, corruption_in
 from daq_service.catalogue.earlier_names import EVENT_KINDS, TOPICS, current_row
 from daq_service.catalogue.errors import (
+    BUSY_TIMEOUT_S,
     CatalogueDamagedError,
     CatalogueError,
     CatalogueWriteError,
@@ -24,7 +25,6 @@ from daq_service.catalogue.errors import (
 )
 from daq_service.catalogue.migrations import SCHEMA_REVISION
 from daq_service.catalogue.rows import EventRow
-from daq_service.catalogue.stored_rows import BUSY_TIMEOUT_S
 from daq_service.catalogue.tables import metadata, trend_blocks
 from daq_service.catalogue.trends import trend_differences
 from daq_service.shared_file import remove_quietly

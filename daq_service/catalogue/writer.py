@@ -15,11 +15,8 @@ from sqlalchemy import (
     Select,
     bindparam,
     case,
-    delete,
     func,
-    insert,
     select,
-    update,
 )
 
 from daq_service.catalogue.errors import CatalogueConflictError, OtherExperimentError
@@ -43,11 +40,17 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
 )
-from daq_service.catalogue.stored_rows import checked_rows, numbered, storable, translated, writing
+from daq_service.catalogue.stored_rows import (
+    change_row,
+    checked_rows,
+    insert_rows,
+    prepared,
+    translated,
+    writing,
+)
 from daq_service.catalogue.tables import (
     TABLES,
     assessments,
-    assessor_states,
     commands,
     counts,
     events,
@@ -60,7 +63,6 @@ from hardware_drivers.methods import PULSE_ECHO
 
 R = TypeVar("R", bound=Row)
 
-_KEY = "key_of_the_row"
 ANSWERS: tuple[CommandState, ...] = ("done", "rejected", "expired", "failed")
 
 
@@ -105,6 +107,23 @@ class SetCommit:
     annotation_of_event: dict[int, int] = field(default_factory=dict)
     order: CommandRow | None = None
     states: dict[str, AssessorStateRow] = field(default_factory=dict)
+
+    def add_alarm(self, row: AlarmRow, event: EventRow) -> None:
+        """Add a new or changed alarm with its event, which contains the row."""
+        self.alarm_of_event[len(self.events)] = len(self.alarms)
+        self.alarms.append(row)
+        self.events.append(replace(event, payload=event.payload | payload_of(row, last="id")))
+
+    def add_annotation(self, row: AnnotationRow, event: EventRow) -> None:
+        """Add a new or changed annotation with its event, which contains the row."""
+        self.annotation_of_event[len(self.events)] = len(self.annotations)
+        self.annotations.append(row)
+        self.events.append(replace(event, payload=payload_of(row, last="id")))
+
+    def add_baseline(self, row: BaselineRow, event: EventRow, *, last: str = "") -> None:
+        """Add a new or changed baseline with its event, which contains the row: ``last`` as last column."""
+        self.baselines.append(row)
+        self.events.append(replace(event, payload=payload_of(row, last=last)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -163,7 +182,7 @@ class RecorderCatalogue(Catalogue):
         )
         with self._writing("beginning the experiment") as connection:
             if connection.execute(select(experiment.c.id)).first() is None:
-                _insert(connection, [row])
+                insert_rows(connection, [row])
         stored = self.experiment_row()
         if stored.configuration_hash != configuration_hash:
             raise OtherExperimentError(
@@ -208,17 +227,18 @@ class RecorderCatalogue(Catalogue):
         with self._writing("storing a set") as connection:
             last_before = last_sets(connection, touched)
             before = due_time_counts(connection, indices) if indices else {}
-            _insert(connection, commit.sets)
-            _insert(connection, commit.shots)
-            _insert(connection, commit.features)
-            _insert(connection, commit.thickness)
-            baseline_ids = [_store_baseline(connection, row) for row in commit.baselines]
+            insert_rows(connection, commit.sets)
+            insert_rows(connection, commit.shots)
+            insert_rows(connection, commit.features)
+            insert_rows(connection, commit.thickness)
+            baseline_ids = [_change_or_insert(connection, row) for row in commit.baselines]
             _insert_assessments(connection, commit.assessments)
-            _insert(connection, commit.environment)
-            _store_states(connection, list(commit.states.values()))
+            insert_rows(connection, commit.environment)
+            for state in commit.states.values():
+                _change_or_insert(connection, state)
             alarm_ids = [_store(connection, row) for row in commit.alarms]
             annotation_ids = [_store(connection, row) for row in commit.annotations]
-            event_ids = _ids(_insert(connection, _dated_events(commit, alarm_ids, annotation_ids)))
+            event_ids = insert_rows(connection, _dated_events(commit, alarm_ids, annotation_ids))
             after = due_time_counts(connection, indices) if indices else {}
             _count(connection, commit, before, after)
             update_trends(connection, touched, last_before)
@@ -269,7 +289,7 @@ class RecorderCatalogue(Catalogue):
             of_file = (*_is_set(set_key), sets.c.file == file)
             its_sets = select(sets).where(*of_file, sets.c.file_sha256.is_(None))
             for row in list(checked_rows(connection, SetRow, its_sets)):
-                _change(connection, replace(row, file_sha256=sha256))
+                change_row(connection, replace(row, file_sha256=sha256))
 
     def digest_of(self, set_key: SetKey) -> str | None:
         """Return the stored SHA-256 of a set's file; None if there is none."""
@@ -289,7 +309,7 @@ class RecorderCatalogue(Catalogue):
                 "events": select(func.count()).select_from(events),
             }
             counted = {name: connection.execute(number).scalar_one() for name, number in numbers.items()}
-            _change(connection, CountsRow(**due_time_counts(connection), **counted))
+            change_row(connection, CountsRow(**due_time_counts(connection), **counted))
 
     def restore(self, rows: Iterable[Row]) -> None:
         """Store rows with their ids, replacing existing ones; `recount` follows."""
@@ -298,8 +318,7 @@ class RecorderCatalogue(Catalogue):
         with self._writing("restoring rows") as connection:
             last_before = last_sets(connection, touched)
             for row in restored:
-                if not _change(connection, row):
-                    _insert(connection, [row])
+                _change_or_insert(connection, row)
             update_trends(connection, touched, last_before)
 
     # Commands
@@ -341,7 +360,7 @@ class RecorderCatalogue(Catalogue):
                 raise CatalogueConflictError(
                     f"{self._path}: there is no command {command_id} that is {' or '.join(before)}"
                 )
-            _change(connection, replace(rows[0], **values))  # type: ignore[arg-type] # names of its columns
+            change_row(connection, replace(rows[0], **values))  # type: ignore[arg-type] # names of its columns
 
 
 def _is_set(key: SetKey) -> tuple[ColumnElement[bool], ...]:
@@ -357,7 +376,7 @@ def payload_of(row: Row, *, last: str = "") -> dict[str, object]:
 
 def _due_time_counts_statement(*of: ColumnElement[bool]) -> Select[int, int, int]:
     """Return the query that counts due times from their rows."""
-    lacking = case((sets.c.state.in_(("partial", "missed")), 1), else_=0)
+    lacking = case(((sets.c.state == "partial") | (sets.c.state == "missed"), 1), else_=0)
     missed = case((sets.c.state == "missed", 1), else_=0)
     due_times = select(
         func.sum(sets.c.n_taken).label("taken"),
@@ -373,34 +392,27 @@ def _due_time_counts_statement(*of: ColumnElement[bool]) -> Select[int, int, int
     ).select_from(found)
 
 
-_OF_ALL_SETS = _due_time_counts_statement()
-_OF_SOME_SETS = _due_time_counts_statement(sets.c.set_index.in_(bindparam("indices", expanding=True)))
+_OF_ALL_SETS = prepared(_due_time_counts_statement())
+_OF_ONE_SET = prepared(_due_time_counts_statement(sets.c.set_index == bindparam("of_set")))
+_COUNTS = prepared(select(counts))
+_OF_BASELINE = prepared(
+    select(assessments.c.id).where(
+        assessments.c.position == bindparam("of_position"),
+        assessments.c.set_index == bindparam("of_set"),
+        assessments.c.unscheduled_index == bindparam("unscheduled"),
+        assessments.c.in_baseline,
+    )
+)
 
 
 def due_time_counts(connection: Connection, indices: Collection[int] | None = None) -> dict[str, int]:
     """Count due times (`CountsRow`) from their rows: of some sets, or (None) of all."""
-    if indices is None:
-        found = connection.execute(_OF_ALL_SETS)
-    else:
-        found = connection.execute(_OF_SOME_SETS, {"indices": sorted(indices)})
-    return dict(found.mappings().one())
-
-
-def _insert(connection: Connection, rows: Sequence[R]) -> list[R]:
-    """Insert rows and return them with their ids."""
-    if not rows:
-        return []
-    rows = numbered(connection, rows)
-    connection.execute(insert(TABLES[type(rows[0])]), [storable(row) for row in rows])
-    return list(rows)
-
-
-def _change(connection: Connection, row: Row) -> bool:
-    """Replace the row with the same id; return False if there is none."""
-    table, stored = TABLES[type(row)], storable(row)
-    key = table.primary_key.columns[0]
-    stored[_KEY] = stored.pop(key.name)
-    return connection.execute(update(table).where(key == bindparam(_KEY)), stored).rowcount == 1
+    found = (
+        _OF_ALL_SETS.execute(connection)
+        if indices is None
+        else (_OF_ONE_SET.execute(connection, of_set=index).fetchone() for index in indices)
+    )
+    return dict(zip(("sets", "missed_sets", "partial_sets"), map(sum, zip(*found, strict=True)), strict=True))
 
 
 def _count(
@@ -415,48 +427,43 @@ def _count(
         "pulse_echo_records": n_echoes,
         "events": len(commit.events),
     }
-    (row,) = checked_rows(connection, CountsRow, select(counts))
+    (row,) = checked_rows(connection, CountsRow, _COUNTS)
     changed = replace(row, **{name: getattr(row, name) + number for name, number in added.items()})
-    _change(connection, changed)
+    change_row(connection, changed)
 
 
 def _insert_assessments(connection: Connection, rows: Sequence[AssessmentRow]) -> None:
     """Insert assessments; those of a new baseline's sets replace the preliminary ones."""
     new = []
     for row in rows:
-        stored_id = None
-        if row.in_baseline:
-            its_set = (
-                assessments.c.position == row.position,
-                assessments.c.set_index == row.set_index,
-                assessments.c.unscheduled_index == row.unscheduled_index,
-            )
-            statement = select(assessments.c.id).where(*its_set, assessments.c.in_baseline)
-            stored_id = connection.execute(statement).scalar()
-        if stored_id is None:
+        found = (
+            _OF_BASELINE.execute(
+                connection,
+                of_position=row.position,
+                of_set=row.set_index,
+                unscheduled=row.unscheduled_index,
+            ).fetchone()
+            if row.in_baseline
+            else None
+        )
+        if found is None:
             new.append(row)
         else:
-            _change(connection, replace(row, id=stored_id))
-    _insert(connection, new)
-
-
-def _store_states(connection: Connection, rows: Sequence[AssessorStateRow]) -> None:
-    """Store the states of assessors in place of the earlier ones."""
-    places = [row.place for row in rows]
-    connection.execute(delete(assessor_states).where(assessor_states.c.place.in_(places)))
-    _insert(connection, rows)
+            change_row(connection, replace(row, id=found[0]))
+    insert_rows(connection, new)
 
 
 def _store(connection: Connection, row: AlarmRow | AnnotationRow) -> int:
     """Store a new or changed row and return its id."""
-    return _change_existing(connection, row, row.id) if row.id else _ids(_insert(connection, [row]))[0]
+    return _change_existing(connection, row, row.id) if row.id else insert_rows(connection, [row])[0]
 
 
-def _store_baseline(connection: Connection, row: BaselineRow) -> int:
-    """Store a new or changed baseline and return its id."""
-    if row.id is not None and _change(connection, row):
-        return row.id
-    return _ids(_insert(connection, [row]))[0]
+def _change_or_insert(connection: Connection, row: Row) -> int:
+    """Store a new row, or one in place of the stored one, and return its id."""
+    row_id: int | None = getattr(row, "id", 0)
+    if row_id is not None and change_row(connection, row):
+        return row_id
+    return insert_rows(connection, [row])[0]
 
 
 def _answer(connection: Connection, row: CommandRow) -> int:
@@ -466,15 +473,10 @@ def _answer(connection: Connection, row: CommandRow) -> int:
 
 def _change_existing(connection: Connection, row: Row, row_id: int) -> int:
     """Replace a row or raise an error if there is none."""
-    if not _change(connection, row):
+    if not change_row(connection, row):
         row_text = f"row {row_id} of table {TABLES[type(row)].name}"
         raise CatalogueConflictError(f"there is no {row_text} to change; nothing was stored")
     return row_id
-
-
-def _ids(rows: Iterable[Any]) -> list[int]:
-    """Return the ids of rows."""
-    return [row.id for row in rows]
 
 
 def _dated_events(

@@ -29,7 +29,7 @@ TRUTH = {f"known_of_the_twin_{number}": 0.1234 + number for number in range(13)}
 """The twin stores as many facts with each shot."""
 NUISANCE_TRUTH = 12
 """And with nuisance as many more, and two a body of the chain."""
-ECHO_TRUTH = {f"known_of_the_twin_{number}": 0.1234 + number for number in range(6)}
+ECHO_TRUTH = {f"known_of_the_echo_{number}": 0.1234 + number for number in range(6)}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,6 +154,7 @@ def _set_of(settings: Settings, strike: RecordSize, echo: RecordSize, shots: int
                 noise_v = twin.echo.noise_rms_v / twin.echo.averages**0.5
                 wave = waveform(echo, twin.echo, noise_v, 10e-6, 1e-6)
                 settings_of: dict[str, Any] = {"gain_db": 30.0, "offset_v": 0.0, "averages": 1}
+                settings_of["settings"] = {"clipped_records": 0.0}
                 records.append(PulseEchoRecord(**taken, **settings_of, waveform=wave, truth=ECHO_TRUTH))
             else:
                 wave = waveform(strike, twin.adc, twin.noise.rms_v, 150e-6, 400e-6)
@@ -183,8 +184,8 @@ def _results(
 ) -> Results:
     """Build results of records; their size does not depend on the values."""
     from daq_service.assessment.results_in_file import results_of
-    from daq_service.assessment.transaction import shot_row
     from daq_service.catalogue.rows import FeatureRow, ThicknessRow
+    from daq_service.recording.set_assessor import shot_row
 
     common: dict[str, Any] = {"set_index": 0, "due_h": 0.5, "extractor_version": "1.1", "quality": "good"}
     features = [

@@ -14,8 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import CommandRow, CommandState
 from daq_service.commands.deadline import expired_reason, remaining_now_s, with_expiry
 from daq_service.commands.kinds import Command, Facts
@@ -82,6 +81,13 @@ class CommandExecutor:
             answer = FAILED if is_unknown else ("expired", expired_reason(reason))
             self._finish(row, self._answers.get(row.id, answer))
 
+    def leave(self) -> None:
+        """Answer commands that were not started: this recorder does not execute them."""
+        try:
+            self.close("the recorder has ended")
+        except (StorageError, OSError) as error:
+            log.warning("open orders are not answered; the next recorder does it: %s", error)
+
     def listen(self) -> None:
         """Execute the waiting commands; a rejected one is answered with the reason."""
         self.begin()
@@ -118,7 +124,7 @@ class CommandExecutor:
         current_row = with_expiry(replace(row, state="pending"), self._left_s(row))
         if current_row.state == "expired":
             return "expired", current_row.result or ""
-        transactions: list[Transaction] = []
+        transactions: list[SetCommit] = []
         self._adopt()
         try:
             order = parse_command(row.kind, row.author, row.arguments)

@@ -10,7 +10,7 @@ from typing import Protocol
 
 from daq_service.alarms.operator_actions import without_expired_shelf
 from daq_service.alarms.states import Change, Moment
-from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, BaselineRow
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Clock
@@ -56,18 +56,16 @@ class StoredTest:
     moment: Callable[[], Moment]
     alarms: Alarms
     annotations: Callable[[], Sequence[AnnotationRow]]
-    store: Callable[[Transaction], None]
+    store: Callable[[SetCommit], None]
 
     def store_event(self, kind: str, payload: Mapping[str, object]) -> None:
         """Store an event of the service itself."""
-        transaction = Transaction()
-        transaction.add_event(kind, payload, self.moment())
-        self.store(transaction)
+        self.store(SetCommit(events=[self.moment().event("service", kind, payload)]))
 
     def annotate(self, row: AnnotationRow, kind: str) -> None:
         """Store a new or changed annotation."""
-        transaction = Transaction()
-        transaction.annotate(row, kind, self.moment())
+        transaction = SetCommit()
+        transaction.add_annotation(row, self.moment().event("annotations", kind, {}, position=row.position))
         self.store(transaction)
 
     def alarm(self, alarm_id: int) -> AlarmRow:
@@ -77,9 +75,9 @@ class StoredTest:
 
     def change_alarms(self, moment: Moment, *changes: Change) -> None:
         """Store changes of alarms in one transaction."""
-        transaction = Transaction()
+        transaction = SetCommit()
         for change in changes:
-            transaction.add_alarm(change, moment)
+            transaction.add_alarm(change.row, change.event(moment))
         self.store(transaction)
 
 
@@ -110,7 +108,7 @@ class RunningTest(StoredTest):
     clock: Clock
     stop: threading.Event
     enabled: Callable[[str], None]
-    confirmation: Callable[[str, str, str], Transaction]
+    confirmation: Callable[[str, str, str], SetCommit]
     positions: Sequence[str]
     settings: Settings
     next_set: Callable[[], int]
@@ -122,11 +120,11 @@ class RunningTest(StoredTest):
         self, moment: Moment, *steps: tuple[BaselineRow, str], ended: Iterable[Change] = ()
     ) -> None:
         """Store changed baselines, each with its kind of event, and changed alarms in one transaction."""
-        transaction = Transaction()
+        transaction = SetCommit()
         for change in ended:
-            transaction.add_alarm(change, moment)
+            transaction.add_alarm(change.row, change.event(moment))
         for row, kind in steps:
-            transaction.change_baseline(row, kind, moment)
+            transaction.add_baseline(row, moment.event("assessments", kind, {}, position=row.position))
         self.store(transaction)
 
     @property

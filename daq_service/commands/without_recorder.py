@@ -11,8 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from daq_service.alarms.states import Moment
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import Catalogue
+from daq_service.catalogue import Catalogue, SetCommit
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow, AnnotationRow, CommandRow
 from daq_service.catalogue.store import open_for_one_command
@@ -48,7 +47,7 @@ def carry_out_unattended(
         history = HistoryFollower(folder, catalogue)
         history.begin()
         order.refuse_forbidden(facts(catalogue))
-        transactions: list[Transaction] = []
+        transactions: list[SetCommit] = []
         test = StoredTest(
             moment=moment,
             alarms={(row.position, row.kind): row for row in catalogue.rows(AlarmRow)},

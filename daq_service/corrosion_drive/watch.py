@@ -12,8 +12,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 
 from daq_service.alarms.states import Condition, Moment
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import Catalogue
+from daq_service.catalogue import Catalogue, SetCommit
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, Priority
 from daq_service.corrosion_drive.charge import DriveState, restored_state
 from daq_service.corrosion_drive.climate import ClimateLog
@@ -74,8 +73,8 @@ class DriveWatch:
         rig: Rig,
         catalogue: Catalogue,
         alarms: Alarms,
-        update_alarm: Callable[[Condition, Moment, Transaction], None],
-        store: Callable[[Transaction], None],
+        update_alarm: Callable[[Condition, Moment, SetCommit], None],
+        store: Callable[[SetCommit], None],
         remote: RemoteDrive | None = None,
     ) -> None:
         self._update_alarm = update_alarm
@@ -117,7 +116,7 @@ class DriveWatch:
     def _update_alarms(self, hour: float) -> None:
         """Update every alarm of the supply with its present condition."""
         moment = Moment(utc_ns=self._clock.utc_ns(), due_h=hour, set_index=None)
-        transaction = Transaction()
+        transaction = SetCommit()
         for drive_condition in self._conditions():
             condition = Condition(
                 position=None,
@@ -141,9 +140,10 @@ class DriveWatch:
         """Return the values of supply and probe since the last stored set."""
         return summary(self._row(0, 0.0))
 
-    def add_row(self, transaction: Transaction, due: DueSet, moment: Moment) -> None:
+    def add_row(self, transaction: SetCommit, due: DueSet, moment: Moment) -> None:
         """Add the row of a set, and restart the means."""
-        transaction.add_environment(self._row(due.set_index, due.due_h), moment)
+        transaction.environment.append(self._row(due.set_index, due.due_h))
+        transaction.events.append(moment.event("environment", "environment_read", {}))
         if self._drive is not None:
             self._drive.start_window()
 

@@ -16,9 +16,8 @@ from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
 from daq_service.alarms.states import Moment, update
 from daq_service.catalogue import Catalogue, SetCommit
-from daq_service.catalogue.rows import AlarmRow, EventRow
+from daq_service.catalogue.rows import AlarmRow
 from daq_service.catalogue.store import NoDataYetError, open_for_one_command
-from daq_service.catalogue.writer import payload_of
 from daq_service.clock import MACHINE, MachineClock
 from daq_service.processes.freshness import Freshness
 from daq_service.settings.tree import ScheduleSettings
@@ -124,6 +123,6 @@ class RecorderWatch:
             change = update(rows[-1] if rows else None, recorder_condition(finding, fresh.now_h), moment)
             if change is None:
                 return
-            payload = payload_of(change.row, last="id")
-            event = EventRow(utc_ns=moment.utc_ns, topic="alarms", kind=change.event_kind, payload=payload)
-            catalogue.commit_set(SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0}))
+            commit = SetCommit()
+            commit.add_alarm(change.row, change.event(moment))
+            catalogue.commit_set(commit)

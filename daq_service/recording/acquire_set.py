@@ -1,21 +1,24 @@
-"""Begin a set, strike and read, keep each measurement, and make the record of the set."""
+"""Begin a set, strike and read, keep each measurement, act between shots, and make the record of the set."""
 
 from __future__ import annotations
 
 import logging
+import math
+import time
 from collections import Counter
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
 
 from analysis.waves.features import ShotFeatures
 from analysis.waves.quality_gate import SUPERSEDED, Attempt, RestrikeRule, outcomes
 from daq_service.acquisition.shot_features import features_of_a_rehearsal
 from daq_service.archive import PositionRecord, SetRecord
-from daq_service.clock import boot_id
+from daq_service.clock import WallClock, boot_id
 from daq_service.commands.execution import CommandExecutor
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.provenance import provenance
 from daq_service.recording.resources import Resources
+from daq_service.recording.resumed_time import CLOCK_STEP
 from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.measurement import DueSet, Measurement, MissedShot, PulseEchoRecord, Shot
@@ -142,6 +145,57 @@ class TakenSet:
         return {shot.sequence: outcome for shot, outcome in found if outcome == SUPERSEDED}
 
 
+class Activity:
+    """What the recorder does, as its heartbeat shows it, and what it looks at between two shots.
+
+    Attributes
+    ----------
+    doing
+        What the recorder does; the next beat shows it.
+    request
+        What an instrument asks a person to do now; empty: nothing.
+    looks
+        Called a few times a second, such as for commands.
+    """
+
+    def __init__(self, resources: Resources, assessor: SetAssessor, persistence: Persistence) -> None:
+        self._resources, self._set_assessor, self._persistence = resources, assessor, persistence
+        self.doing, self.request, self._look_again_s = "starting", "", -math.inf
+        self.looks: Sequence[Callable[[], None]] = ()
+
+    def beat(self, *, at_once: bool = False) -> None:
+        """Show what the recorder does, what a person shall do, and what waits for the disk."""
+        waits, trouble = "", self._persistence.trouble
+        if trouble is not None:
+            waits = f"{len(self._persistence)} jobs wait in memory for the disk: {trouble.message}"
+        parts = (self.doing, self.request, waits)
+        self._resources.heartbeat.beat("; ".join(filter(None, parts)), at_once=at_once)
+
+    def announce(self, doing: str) -> None:
+        """Report an activity at once: if it hangs, the supervisor can name it."""
+        self.doing = doing
+        self.beat()
+
+    def between_shots(self) -> bool:
+        """Beat, watch clock, disk and supply, and look for requests; False once the recorder shall stop."""
+        clock, disk, drive = self._resources.rig.clock, self._resources.disk, self._set_assessor.drive
+        if isinstance(clock, WallClock):
+            for clock_step in clock.steps():
+                log.warning("%s", clock_step.message)
+                self._persistence.say(CLOCK_STEP, asdict(clock_step))
+        if disk is not None:
+            disk.run_for(0.0)
+        self.beat()
+        now_s = time.monotonic()
+        if now_s >= self._look_again_s:
+            self._look_again_s = now_s + self._resources.host.listen_every_s
+            for look in self.looks:
+                look()
+        if drive is not None:
+            drive.tick(self._resources.moment().due_h)
+        return not self._resources.stop.is_set()
+
+
 class SetAcquisition:
     """Takes sets, one at a time.
 
@@ -160,11 +214,13 @@ class SetAcquisition:
         persistence: Persistence,
         features_of: FeaturesOf,
         commands: CommandExecutor,
+        activity: Activity,
     ) -> None:
         self._settings, self._rig = resources.settings, resources.rig
         self._archive, self._live = resources.archive, resources.live
         self._set_assessor, self._persistence = assessor, persistence
-        self._commands, self._struck = commands, self._settings.names_of(SOLITARY_WAVE)
+        self._commands, self._activity = commands, activity
+        self._struck = self._settings.names_of(SOLITARY_WAVE)
         self.features_of = features_of_a_rehearsal if self._rig.dry_run else features_of
         # Simulated time has one frame on every computer.
         self._in_real_time = resources.in_real_time
@@ -205,7 +261,7 @@ class SetAcquisition:
 
     # Strike by strike -----------------------------------------------------------------------------
 
-    def measurements(self, due: DueSet, taken: TakenSet, idle: Callable[[], bool]) -> Iterator[Measurement]:
+    def measurements(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
         """Strike and read; an error of the instruments ends the set, and what came before it is kept."""
         schedule = self._settings.schedule
         set_plan = SetPlan(
@@ -225,7 +281,7 @@ class SetAcquisition:
             progress=taken.progress(self._struck) if taken.tried else None,
             first_sequence=self.next_sequence,
             boot_id=self._boot_id,
-            idle=lambda: idle() and not self._commands.paused,
+            idle=lambda: self._activity.between_shots() and not self._commands.paused,
             wants_restrike=taken.wants_restrike,
             may_strike=lambda position: position not in self._set_assessor.disabled(),
         )
@@ -258,10 +314,6 @@ class SetAcquisition:
 
     # After the last strike ------------------------------------------------------------------------
 
-    def is_complete(self, taken: TakenSet) -> bool:
-        """Return whether every planned shot was tried."""
-        return taken.is_complete(self._set_assessor.n_planned)
-
     def shortfall(self, position: str, taken: TakenSet, cut_short_reason: str = "") -> str:
         """Return the reason why a position has fewer records than planned; empty if it has all."""
         end_reason = (
@@ -271,6 +323,10 @@ class SetAcquisition:
             or "the recorder was told to stop"
         )
         return taken.shortfall(position, self._set_assessor.n_planned[position], end_reason)
+
+    def shortfalls(self, due: DueSet, taken: TakenSet) -> dict[str, str]:
+        """Return the reason why each position of a set has fewer records than planned."""
+        return {name: self.shortfall(name, taken) for name in self._set_assessor.positions_of(due)}
 
     def record_of(self, due: DueSet, taken: TakenSet, cut_short_reason: str) -> SetRecord:
         """Make the record of a set that is to be stored."""

@@ -42,7 +42,7 @@ def until_clock_is_believed(
             log.error("waiting for a set clock: %s", reason)
             report_doubt(reason)
         reasons.append(reason)
-        waiting.doing = f"waiting for a set clock: {reason}"
+        waiting.activity.doing = f"waiting for a set clock: {reason}"
         return waiting.between_sets()
 
     started_ns = clock.mono_ns()

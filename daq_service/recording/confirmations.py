@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 
 from daq_service.acquisition.schedule import due_hours, unscheduled_set
-from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, disabled_positions
+from daq_service.alarms.states import ALARMS_OF_CHANGE, Condition, Moment, add_evidence, disabled_positions
 from daq_service.assessment.confirmation import (
     CONFIRMATION_ASKED,
     Confirmation,
@@ -24,8 +24,7 @@ from daq_service.assessment.confirmation import (
     rejection_reason,
     summarize_confirmation,
 )
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import DueSet, SetKey
@@ -73,7 +72,7 @@ class Confirmations:
             one = confirmation_from_payload(event.position, event.payload)
             self.asked[one.due.set_key] = self.waiting[one.due.set_key] = one
 
-    def take_rows(self, stored: Transaction) -> None:
+    def take_rows(self, stored: SetCommit) -> None:
         """Update the requests and results with the stored rows of a set."""
         for row in stored.sets:
             if row.purpose == "confirmation":
@@ -94,7 +93,7 @@ class Confirmations:
         position: str,
         alarms: Alarms,
         moment: Moment,
-        transaction: Transaction,
+        transaction: SetCommit,
     ) -> None:
         """Add what suspicion asks for after a planned set to its transaction, if it may."""
         own = [row for row in alarms.values() if row.position == position]
@@ -111,11 +110,11 @@ class Confirmations:
         ):
             self.add(reason, planned, position, moment, transaction)
 
-    def order(self, planned: DueSet, position: str, author: str, note: str, moment: Moment) -> Transaction:
+    def order(self, planned: DueSet, position: str, author: str, note: str, moment: Moment) -> SetCommit:
         """Return the request of a person; a ValueError states why the set cannot be taken."""
         if too_late := overlap_reason(self.room_ns(planned, moment.utc_ns), self.set_ns):
             raise ValueError(f"{too_late}: that one says the same")
-        transaction = Transaction()
+        transaction = SetCommit()
         if self.add(note, planned, position, moment, transaction, author) is None:
             raise ValueError(
                 "there are too many confirmation sets since the last planned set; wait for the next one"
@@ -128,7 +127,7 @@ class Confirmations:
         planned: DueSet,
         position: str,
         moment: Moment,
-        transaction: Transaction,
+        transaction: SetCommit,
         author: str = "",
     ) -> Confirmation | None:
         """Add the event that asks for a set after a planned one; None: there are too many already."""
@@ -142,7 +141,9 @@ class Confirmations:
             return None
         due = unscheduled_set(number, planned, moment.utc_ns, position)
         one = Confirmation(due=due, reason=reason, author=author)
-        transaction.add_event(CONFIRMATION_ASKED, one.payload(), moment, position=position)
+        transaction.events.append(
+            moment.event("service", CONFIRMATION_ASKED, one.payload(), position=position)
+        )
         return one
 
     def with_result(
@@ -158,3 +159,14 @@ class Confirmations:
             else condition
             for condition in conditions
         ]
+
+
+def add_confirmation(alarms: Alarms, position: str, transaction: SetCommit, moment: Moment) -> None:
+    """Add the result of a confirmation set to the active alarm of its position."""
+    assessment = transaction.assessments[0] if transaction.assessments else None
+    payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
+    for kind in ALARMS_OF_CHANGE:
+        row = alarms.get((position, kind))
+        if row is not None and row.state != "normal":
+            change = add_evidence(row, {"confirmation": payload}, moment)
+            transaction.add_alarm(change.row, change.event(moment))

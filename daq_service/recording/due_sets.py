@@ -7,6 +7,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 
 from daq_service.assessment.confirmation import overlap_reason
+from daq_service.commands.execution import CommandExecutor
 from daq_service.errors import RigError
 from daq_service.recording.carried_over import CarriedOver
 from daq_service.recording.opening import is_transient
@@ -42,11 +43,13 @@ class DueSets:
         carried_over: CarriedOver,
         waiting: Waiting,
         record_gap: Callable[[DueSet, str], None],
+        commands: CommandExecutor,
     ) -> None:
         self._resources, self._plan, self._rig = resources, resources.plan, resources.rig
         self._clock, self._stop = resources.rig.clock, resources.stop
         self._set_assessor, self._persistence = assessor, persistence
         self._carried_over, self._waiting, self._record_gap = carried_over, waiting, record_gap
+        self._commands = commands
         self._started_unscheduled: set[SetKey] = set()
         self._calibrated_ns: int | None = None
 
@@ -83,12 +86,12 @@ class DueSets:
         self._calibrate_before(due)
         # Simulated time has no idle hours: there files are checked after the last set.
         self._waiting.free_until_ns = due.due_utc_ns if self._resources.in_real_time else -math.inf
-        self._waiting.doing = f"waiting for set {due.set_index}"
+        self._waiting.activity.doing = f"waiting for set {due.set_index}"
         while not self._clock.wait_until(due.due_utc_ns, self._idle_unless_requested):
             if self._stop.is_set():
                 return
             yield from self._unscheduled_before(due)
-            self._waiting.doing = f"waiting for set {due.set_index}"
+            self._waiting.activity.doing = f"waiting for set {due.set_index}"
         if not self._closed_overdue(due):
             self._waiting.newest = due
             yield due
@@ -120,7 +123,7 @@ class DueSets:
         has_time = due.due_utc_ns - now_ns > SELF_CALIBRATION_TAKES_NS or self._calibrated_ns is None
         if age_h < interval_h or not has_time:
             return
-        self._waiting.announce(f"self-calibration before set {due.set_index}")
+        self._waiting.activity.announce(f"self-calibration before set {due.set_index}")
         try:
             result = self_calibrating.self_calibrate()
         except InstrumentError as error:
@@ -151,10 +154,16 @@ class DueSets:
                     yield due
 
     def hindrance(self, due: DueSet) -> str:
+        """Return why a due set is not acquired; empty: it is."""
+        if due.position is not None and (reason := self._unscheduled_hindrance(due, due.position)):
+            return reason
+        if self._commands.paused or self._persistence.trouble is None or self._persistence.has_room:
+            return self._commands.paused
+        return f"the memory for what waits is full: {self._persistence.trouble.message}"
+
+    def _unscheduled_hindrance(self, due: DueSet, position: str) -> str:
         """Return why an unscheduled set cannot be taken: late or transducer disabled; empty: it can."""
-        if due.position is None:
-            return ""
-        if reason := self._set_assessor.disabled().get(due.position):
+        if reason := self._set_assessor.disabled().get(position):
             return reason
         now_ns = self._clock.utc_ns()
         if now_ns > due.due_utc_ns + NS_PER_H:

@@ -5,16 +5,33 @@ from __future__ import annotations
 import logging
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 
 from daq_service.alarms.rig_trouble import lost_cause, rig_condition
 from daq_service.alarms.states import Moment
 from daq_service.assessment.assessor import PositionResult
-from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import SetCommit
 from daq_service.recording.acquire_set import TakenSet
-from daq_service.recording.set_assessor import SetAssessor, add_confirmation
+from daq_service.recording.confirmations import add_confirmation
+from daq_service.recording.persistence import Persistence
+from daq_service.recording.set_assessor import SetAssessor, add_position
 from hardware_drivers.measurement import DueSet
 
 log = logging.getLogger(__name__)
+
+
+def store_nothing_taken(
+    assessor: SetAssessor,
+    persistence: Persistence,
+    due: DueSet,
+    reasons: Mapping[str, str],
+    *,
+    utc_ns: int,
+    tried: TakenSet | None = None,
+) -> None:
+    """Store the rows of a set without a record (`nothing_taken`) after what waits for the disk."""
+    rows = partial(nothing_taken, assessor, due, reasons, utc_ns=utc_ns, tried=tried)
+    persistence.post(rows, assessor.commit)
 
 
 def nothing_taken(
@@ -24,7 +41,7 @@ def nothing_taken(
     *,
     utc_ns: int,
     tried: TakenSet | None = None,
-) -> Transaction:
+) -> SetCommit:
     """Return the rows of a set without a record, with the reasons but no file; to be committed.
 
     Parameters
@@ -34,8 +51,8 @@ def nothing_taken(
     tried
         The attempts, which show the state of the instruments; None: there were none.
     """
-    moment = Moment(utc_ns=utc_ns, due_h=due.due_h, **due.set_key._asdict())
-    transaction = Transaction()
+    moment = Moment.of_set(due, utc_ns)
+    transaction = SetCommit()
     disabled = assessor.disabled() if tried is None else tried.disabled
     for position in assessor.positions_of(due):
         gone = position in disabled
@@ -58,7 +75,7 @@ def nothing_taken(
             n_missed=len(missed),
             n_restrikes=restrikes,
         )
-        transaction.add_position(row, [], position_result, moment)
+        add_position(transaction, row, [], position_result, moment)
         for condition in position_result.conditions:
             assessor.carry_alarm(condition, moment, transaction)
     if tried is not None and (tried.trouble is not None or tried.missed):

@@ -6,13 +6,13 @@ import itertools
 import logging
 import threading
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 from daq_service.alarms.rig_trouble import opening_condition
 from daq_service.alarms.states import Change, Condition, Moment, update
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.history import HistoryFollower
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.errors import PASSING, BusyError, RigError
@@ -20,6 +20,7 @@ from daq_service.processes.heartbeat import Heartbeat
 from hardware_drivers.errors import BusyError as InstrumentBusyError
 from hardware_drivers.errors import ConnectionLostError, InstrumentError, UnknownStatusError
 from hardware_drivers.instruments import Rig
+from hardware_drivers.measurement import DueSet
 
 log = logging.getLogger(__name__)
 
@@ -51,6 +52,28 @@ def is_transient(trouble: InstrumentError, *, proven: bool) -> bool:
     folder (``proven``) no error is final.
     """
     return proven or isinstance(trouble, InstrumentBusyError | ConnectionLostError)
+
+
+def raise_final(trouble: InstrumentError, due: DueSet, *, n_shots: int, proven: bool) -> None:
+    """Raise RigError if the error that ended a set early will not be gone at the next set."""
+    if not is_transient(trouble, proven=proven):
+        raise RigError(
+            f"set {due.set_key} ended early: {trouble}; the {n_shots} shots before it are stored"
+        ) from trouble
+
+
+def started_payload(
+    rig: Rig, not_running_reason: str, sets_done: int, provenance: Mapping[str, Any]
+) -> dict[str, object]:
+    """Return the payload of the event of a recorder's start."""
+    return {
+        "rig": rig.kind,
+        "dry_run": rig.dry_run,
+        "rig_identity": dict(rig.identity),
+        "sets_done": sets_done,
+        "before": not_running_reason,
+        "versions": provenance["versions"],
+    }
 
 
 class OpeningAlarm:
@@ -93,8 +116,8 @@ class OpeningAlarm:
             return None
         change = update(row, condition, moment)
         if change is not None:
-            transaction = Transaction()
-            transaction.add_alarm(change, moment)
+            transaction = SetCommit()
+            transaction.add_alarm(change.row, change.event(moment))
             self._catalogue.commit_set(transaction)
             self._history.follow(now=True)
         return change

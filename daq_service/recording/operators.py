@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import asdict
 from functools import partial
 
-from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import SetCommit
 from daq_service.catalogue.rows import AnnotationRow
 from daq_service.commands.execution import CommandExecutor
 from daq_service.commands.running_test import RunningTest
+from daq_service.recording.acquire_set import Activity
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.resources import Resources
 from daq_service.recording.set_assessor import SetAssessor
@@ -44,7 +45,7 @@ def command_executor(resources: Resources, assessor: SetAssessor, waiting: Waiti
 
 def _request_set(
     resources: Resources, assessor: SetAssessor, waiting: Waiting, position: str, author: str, note: str
-) -> Transaction:
+) -> SetCommit:
     """Request an unscheduled set by a person's command; it is taken when the line is free.
 
     Raises
@@ -54,16 +55,18 @@ def _request_set(
     """
     if waiting.newest is None:
         raise ValueError("no planned set was taken yet, or none is left: nothing is struck beside the plan")
-    return assessor.order_confirmation(waiting.newest, position, author, note, resources.moment())
+    if reason := assessor.assessors[position].not_assessed_reason:
+        raise ValueError(f"{position} has nothing to compare a set with: {reason}")
+    return assessor.confirmations.order(waiting.newest, position, author, note, resources.moment())
 
 
-def listen_to_instruments(resources: Resources, persistence: Persistence, waiting: Waiting) -> None:
+def listen_to_instruments(resources: Resources, persistence: Persistence, activity: Activity) -> None:
     """Report from now on what an instrument asks a person to do; an empty text withdraws it."""
 
     def report(text: str, key: ShotKey | None) -> None:
-        waiting.request = text and f"waiting for a person: {text}"
+        activity.request = text and f"waiting for a person: {text}"
         # The record is waited for from here on, as long as the heartbeat's deadline allows.
-        waiting.beat(at_once=True)
+        activity.beat(at_once=True)
         if not text:
             persistence.say(ASKED_OVER, {})
             resources.report(ASKED_OVER)

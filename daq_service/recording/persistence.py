@@ -5,11 +5,12 @@ from __future__ import annotations
 import logging
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
 from daq_service.archive import SetRecord, StoredSet
-from daq_service.assessment.transaction import Transaction
+from daq_service.catalogue import SetCommit
 from daq_service.errors import PASSING
 from daq_service.recording.resources import Resources
 from hardware_drivers.measurement import SetKey
@@ -117,11 +118,19 @@ class Persistence:
         if self.trouble is None:
             self.run_all()
 
+    def attempt(self, job: Callable[[], None]) -> None:
+        """Do something that the disk may refuse: then it waits for the disk, or is tried at the next look."""
+        if self.trouble is None:
+            self.do(job)
+        else:
+            with suppress(*PASSING):  # the trouble is reported; a pause takes effect once it is readable
+                job()
+
     def post(
-        self, build: Callable[[], Transaction], *then: Callable[[Transaction], None], n_bytes: int = 0
+        self, build: Callable[[], SetCommit], *then: Callable[[SetCommit], None], n_bytes: int = 0
     ) -> None:
         """Build a transaction once and pass it on, in order; repeat the latter until the disk takes it."""
-        built: list[Transaction] = []
+        built: list[SetCommit] = []
 
         def job() -> None:
             if not built:

@@ -7,8 +7,9 @@ events are what every other process learns.
 
 from __future__ import annotations
 
-import logging
-from collections.abc import Collection, Iterator, Mapping, Sequence
+import time
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict
 from functools import partial
 from typing import Any
@@ -17,16 +18,14 @@ from analysis.waves.features import ShotFeatures
 from daq_service.acquisition.shot_features import features_of
 from daq_service.alarms.states import Moment
 from daq_service.archive import SetRecord
-from daq_service.assessment.transaction import Transaction
-from daq_service.errors import RigError, StorageError
-from daq_service.recording.acquire_set import FeaturesOf, SetAcquisition, TakenSet
+from daq_service.catalogue import SetCommit
+from daq_service.recording.acquire_set import Activity, FeaturesOf, SetAcquisition, TakenSet
 from daq_service.recording.carried_over import CarriedOver
 from daq_service.recording.clock_doubt import until_clock_is_believed
 from daq_service.recording.computer_load import MACHINE_READ
-from daq_service.recording.cost import Cost
 from daq_service.recording.due_sets import DueSets
-from daq_service.recording.empty_set import nothing_taken
-from daq_service.recording.opening import Opening, is_transient
+from daq_service.recording.empty_set import store_nothing_taken
+from daq_service.recording.opening import Opening, raise_final, started_payload
 from daq_service.recording.operators import command_executor, listen_to_instruments
 from daq_service.recording.persistence import Persistence
 from daq_service.recording.resources import Resources
@@ -35,7 +34,40 @@ from daq_service.recording.storage_alarms import StorageAlarms
 from daq_service.recording.waiting import Waiting
 from hardware_drivers.measurement import DueSet, Measurement, SetKey
 
-log = logging.getLogger(__name__)
+STAGES = (
+    *("strike_and_read_s", "extract_s", "image_s", "write_s"),
+    *("fsync_s", "directory_fsync_s", "judge_s", "commit_s"),
+)
+
+
+class Cost:
+    """Seconds of wall time by stage, printed at the end of a run and stored with its last event."""
+
+    def __init__(self, clock_s: Callable[[], float] = time.perf_counter) -> None:
+        self.sets = 0
+        self._clock_s, self._started_s = clock_s, clock_s()
+        self.seconds = dict.fromkeys(STAGES, 0.0)
+
+    @contextmanager
+    def of(self, stage: str) -> Iterator[None]:
+        """Add the time spent inside to a stage."""
+        start = self._clock_s()
+        try:
+            yield
+        finally:
+            self.seconds[stage] += self._clock_s() - start
+
+    def add_set(self, seconds: Mapping[str, float]) -> None:
+        """Count a set that was stored, and add the seconds of its stages."""
+        self.sets += 1
+        for stage, value in seconds.items():
+            self.seconds[stage] += value
+
+    def as_row(self) -> dict[str, float]:
+        """Return the sets, and seconds by stage; ``other_s`` makes them add up to the elapsed time."""
+        other_s = self._clock_s() - self._started_s - sum(self.seconds.values())
+        seconds = {**self.seconds, "other_s": other_s}
+        return {"sets": self.sets, **{stage: round(value, 3) for stage, value in seconds.items()}}
 
 
 class Recorder:
@@ -52,15 +84,17 @@ class Recorder:
             news=resources.report,
         )
         self._persistence = persistence = Persistence(resources)
+        self._activity = activity = Activity(resources, assessor, persistence)
         storage = StorageAlarms(resources, assessor, persistence)
-        self.waiting = waiting = Waiting(resources, assessor, persistence, storage)
-        self._commands = waiting.commands = command_executor(resources, assessor, waiting)
-        self._acquisition = SetAcquisition(resources, assessor, persistence, features_of, self._commands)
+        self.waiting = waiting = Waiting(resources, assessor, persistence, storage, activity)
+        self.commands = commands = command_executor(resources, assessor, waiting)
+        activity.looks = (storage.watch_web, partial(persistence.attempt, commands.listen))
+        self._acquisition = SetAcquisition(resources, assessor, persistence, features_of, commands, activity)
         self._carried_over = CarriedOver(resources, assessor, persistence, self._acquisition)
         self._due_sets = DueSets(
-            resources, assessor, persistence, self._carried_over, waiting, self._record_gap
+            resources, assessor, persistence, self._carried_over, waiting, self._record_gap, commands
         )
-        listen_to_instruments(resources, persistence, waiting)
+        listen_to_instruments(resources, persistence, activity)
 
     def run(self, *, not_running_reason: str, opening: Opening | None = None) -> bool:
         """Take every set that is still due; return False when ``stop`` came first.
@@ -71,16 +105,10 @@ class Recorder:
             What this recorder did before, while other sets may have fallen due.
         """
         resources, persistence, waiting = self._resources, self._persistence, self.waiting
-        rig, done = resources.rig, resources.catalogue.committed_sets()
-        persistence.do(self._commands.begin)
-        started = {
-            "rig": rig.kind,
-            "dry_run": rig.dry_run,
-            "rig_identity": dict(rig.identity),
-            "sets_done": len(done),
-            "before": not_running_reason,
-            "versions": self._acquisition.provenance["versions"],
-        }
+        done = resources.catalogue.committed_sets()
+        persistence.do(self.commands.begin)
+        origin = self._acquisition.provenance
+        started = started_payload(resources.rig, not_running_reason, len(done), origin)
         persistence.say("recorder_started", started)
         self._carried_over.quarantine_corrupt_files()
         waiting.storage.start_verification()
@@ -96,11 +124,11 @@ class Recorder:
 
     def _take(self, due: DueSet) -> None:
         """Acquire a set and pass it through all stages."""
-        if hindrance := self._hindrance(due):
+        if hindrance := self._due_sets.hindrance(due):
             self._record_gap(due, hindrance)
             return
-        self.waiting.attempt(self._set_assessor.adopt)
-        self.waiting.announce(f"taking {_name_of(due)}")
+        self._persistence.attempt(self._set_assessor.adopt)
+        self._activity.announce(f"taking {due}")
         if due.position is None:
             self.waiting.next_set = due.set_index + 1
         opened = self._carried_over.open_sets.pop(due.set_key, None)
@@ -113,20 +141,18 @@ class Recorder:
         if not taken.is_empty:
             self._finish(due, taken)
         elif not self._stop.is_set():
-            positions = self._set_assessor.positions_of(due)
-            reasons = {name: self._acquisition.shortfall(name, taken) for name in positions}
-            self._record_nothing(due, reasons, utc_ns=taken.ended_ns, tried=taken)
+            reasons = self._acquisition.shortfalls(due, taken)
+            store_nothing_taken(
+                self._set_assessor, self._persistence, due, reasons, utc_ns=taken.ended_ns, tried=taken
+            )
             self._resources.archive.settle(due.set_key)
         # else: the set is still due after a restart
-        if taken.trouble is not None and not is_transient(taken.trouble, proven=self._set_assessor.proven):
-            raise RigError(
-                f"set {due.set_key} ended early: {taken.trouble}; the {len(taken.shots)} shots before it "
-                "are stored"
-            ) from taken.trouble
+        if taken.trouble is not None:
+            raise_final(taken.trouble, due, n_shots=len(taken.shots), proven=self._set_assessor.proven)
 
     def _finish(self, due: DueSet, taken: TakenSet, *, cut_short_reason: str = "") -> None:
         """Pass acquired records through the stages that write to disk; they wait while the disk refuses."""
-        self.waiting.announce(f"storing {_name_of(due)}")
+        self._activity.announce(f"storing {due}")
         reason = self._carried_over.corruption_of.get(due.set_key, cut_short_reason)
         record = self._acquisition.record_of(due, taken, reason)
         self._acquisition.number_after(record)
@@ -148,7 +174,7 @@ class Recorder:
 
     def acquire(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
         """Strike and read, measurement by measurement."""
-        measurements = self._acquisition.measurements(due, taken, self.waiting.within_set)
+        measurements = self._acquisition.measurements(due, taken)
         while True:
             with self._cost.of("strike_and_read_s"):
                 measurement = next(measurements, None)
@@ -171,35 +197,27 @@ class Recorder:
         record: SetRecord,
         features: Mapping[int, ShotFeatures],
         load: Mapping[str, Any] | None,
-    ) -> Transaction:
+    ) -> SetCommit:
         """Write the set durably, then assess it; return rows, alarms and events as one transaction."""
         stored = self._persistence.store(record)
         self._cost.add_set(asdict(stored.timings))
-        self.waiting.doing = f"assessing {_name_of(due)}"
+        self._activity.doing = f"assessing {due}"
         with self._cost.of("judge_s"):
             transaction = self._set_assessor.assessed(due, record, stored.file, features)
         if load is not None and due.position is None:
-            moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, **due.set_key._asdict())
-            transaction.add_event(MACHINE_READ, load, moment, topic="machine")
+            moment = Moment.of_set(due, record.ended_utc_ns)
+            transaction.events.append(moment.event("machine", MACHINE_READ, load))
         return transaction
 
-    def commit(self, transaction: Transaction) -> None:
+    def commit(self, transaction: SetCommit) -> None:
         """Store the rows, alarms and events of a set in one transaction."""
         with self._cost.of("commit_s"):
             self._set_assessor.store(transaction)
 
-    def publish(self, due: DueSet, transaction: Transaction) -> None:
+    def publish(self, due: DueSet, transaction: SetCommit) -> None:
         """Report alarms and gaps, and have the set get its file."""
         self._set_assessor.publish(transaction)
         self._persistence.after_set(due.set_key)
-
-    def _hindrance(self, due: DueSet) -> str:
-        """Return the reason why a due set is not acquired; empty if it is."""
-        if reason := self._due_sets.hindrance(due):
-            return reason
-        if self._commands.paused or self._persistence.trouble is None or self._persistence.has_room:
-            return self._commands.paused
-        return f"the memory for what waits is full: {self._persistence.trouble.message}"
 
     def _record_gap(self, due: DueSet, reason: str) -> None:
         """Record a set without a strike: store the records of an open set, or else rows of a gap."""
@@ -210,18 +228,13 @@ class Recorder:
         reason = self._carried_over.corruption_of.get(due.set_key, reason)
         reasons = dict.fromkeys(self._set_assessor.positions_of(due), reason)
         self._resources.archive.settle(due.set_key)
-        self._record_nothing(due, reasons, self._resources.rig.clock.utc_ns())
-
-    def _record_nothing(
-        self, due: DueSet, reasons: Mapping[str, str], utc_ns: int, tried: TakenSet | None = None
-    ) -> None:
-        rows = partial(nothing_taken, self._set_assessor, due, reasons, utc_ns=utc_ns, tried=tried)
-        self._persistence.post(rows, self._set_assessor.commit)
+        now_ns = self._resources.rig.clock.utc_ns()
+        store_nothing_taken(self._set_assessor, self._persistence, due, reasons, utc_ns=now_ns)
 
     def _stays_open(self, taken: TakenSet) -> bool:
         """Leave a set that a stop cut short to the next recorder; the journal keeps its shots."""
-        cut = self._stop.is_set() and not self._commands.paused and taken.trouble is None
-        return cut and not self._acquisition.is_complete(taken) and self._persistence.acknowledge()
+        cut = self._stop.is_set() and not self.commands.paused and taken.trouble is None
+        return cut and not taken.is_complete(self._set_assessor.n_planned) and self._persistence.acknowledge()
 
     def _end(self) -> bool:
         finished, is_unsupervised = not self._stop.is_set(), self._resources.options.unsupervised.is_set()
@@ -235,14 +248,3 @@ class Recorder:
         if finished:
             self.waiting.until_stored()
         return finished
-
-    def leave(self) -> None:
-        """Answer commands that were not started: this recorder does not execute them."""
-        try:
-            self._commands.close("the recorder has ended")
-        except (StorageError, OSError) as error:
-            log.warning("open orders are not answered; the next recorder does it: %s", error)
-
-
-def _name_of(due: DueSet) -> str:
-    return f"set {due.set_index}" if due.position is None else f"a confirmation set at {due.position}"

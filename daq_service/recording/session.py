@@ -135,7 +135,7 @@ def record(
         for task in reversed(resources.tasks):
             stack.callback(task.close)
         recorder = Recorder(resources)
-        stack.callback(recorder.leave)
+        stack.callback(recorder.commands.leave)
         finished = recorder.run(
             not_running_reason=not_running_reason, opening=Opening(since_mono_ns=since_mono_ns, text=did)
         )

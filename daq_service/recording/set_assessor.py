@@ -5,38 +5,38 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, fields, replace
+from dataclasses import fields, replace
+from functools import partial
+from types import MappingProxyType
 from typing import Any
 
 from analysis.assessment.exact_json import to_json
 from analysis.waves.features import ShotFeatures
+from analysis.waves.quality_gate import ACCEPTED, SUPERSEDED
 from daq_service.alarms.delays import DELAY_EVENT, apply_delays
 from daq_service.alarms.operator_actions import end_expired_shelf
 from daq_service.alarms.process_trouble import RECORDER_NOT_RUNNING, recorder_condition
 from daq_service.alarms.rig_trouble import RIG_UNAVAILABLE, lost_cause, rig_condition
 from daq_service.alarms.states import (
-    ALARMS_OF_CHANGE,
     Condition,
     Moment,
-    add_evidence,
     disabled_positions,
     update,
 )
-from daq_service.archive import SetReader, SetRecord
-from daq_service.assessment.assessor import Assessor
-from daq_service.assessment.confirmation import summarize_confirmation
+from daq_service.archive import SetReader, SetRecord, waveform_crc32
+from daq_service.assessment.assessor import Assessor, PositionResult
 from daq_service.assessment.methods import METHODS
 from daq_service.assessment.restore_state import STATE_FORMAT
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import Catalogue, RecorderCatalogue
-from daq_service.catalogue.rows import AlarmRow, AssessorStateRow, EventRow, SetRow
+from daq_service.catalogue import Catalogue, RecorderCatalogue, SetCommit
+from daq_service.catalogue.rows import AlarmRow, AssessorStateRow, EventRow, Outcome, SetRow, ShotRow
+from daq_service.catalogue.writer import payload_of
 from daq_service.corrosion_drive.remote import RemoteDrive
 from daq_service.corrosion_drive.watch import DriveWatch
-from daq_service.recording.confirmations import Alarms, Confirmations
+from daq_service.recording.confirmations import Confirmations, add_confirmation
+from daq_service.recording.report_changes import report_changes
 from daq_service.settings.tree import Settings
 from hardware_drivers.instruments import Rig
-from hardware_drivers.measurement import DueSet
-from hardware_drivers.nanoseconds import NS_PER_H
+from hardware_drivers.measurement import DueSet, PulseEchoRecord, Shot
 
 log = logging.getLogger(__name__)
 
@@ -88,7 +88,7 @@ class SetAssessor:
             for name, place in settings.positions.items()
         }
         self._catalogue = catalogue
-        self._uncommitted: Transaction | None = None
+        self._uncommitted: SetCommit | None = None
         self._news = news
         rehearsal = rehearsal if rig is None else rig.dry_run
         counts = catalogue.counts()
@@ -130,7 +130,7 @@ class SetAssessor:
         features: Mapping[int, ShotFeatures],
         *,
         sha256: str | None = None,
-    ) -> Transaction:
+    ) -> SetCommit:
         """Assess every position, once: rows, alarms and events of one transaction, to be committed.
 
         An unscheduled set is assessed at its own position, and does not change later assessments.
@@ -140,10 +140,10 @@ class SetAssessor:
         file, sha256
             Where the record lies, and the SHA-256 of the file if it is made.
         """
-        moment = Moment(utc_ns=record.ended_utc_ns, due_h=due.due_h, **due.set_key._asdict())
+        moment = Moment.of_set(due, record.ended_utc_ns)
         reasons = {position.position: position.cause for position in record.positions}
         disabled = self.disabled()
-        transaction = Transaction()
+        transaction = SetCommit()
         suspicions: dict[str, str] = {}
         for position in self.positions_of(due):
             if position not in reasons:
@@ -166,7 +166,7 @@ class SetAssessor:
                 file=file if measurements else None,
                 file_sha256=sha256 if measurements else None,
             )
-            transaction.add_position(row, measurements, position_result, moment, record.outcomes)
+            add_position(transaction, row, measurements, position_result, moment, record.outcomes)
             suspicions[position] = position_result.suspicion
             conditions, confirmed = position_result.conditions, self.confirmations.last_results.get(position)
             if confirmed is not None:
@@ -211,23 +211,9 @@ class SetAssessor:
         """Return the positions of a set."""
         return list(self._settings.positions) if due.position is None else [due.position]
 
-    def order_confirmation(
-        self, planned: DueSet, position: str, author: str, note: str, moment: Moment
-    ) -> Transaction:
-        """Request a confirmation set after a planned one by a person's command; to be committed.
-
-        Raises
-        ------
-        ValueError
-            It cannot be taken, and why.
-        """
-        if reason := self.assessors[position].not_assessed_reason:
-            raise ValueError(f"{position} has nothing to compare a set with: {reason}")
-        return self.confirmations.order(planned, position, author, note, moment)
-
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
         """Store what becomes of an alarm that belongs to no set."""
-        transaction = Transaction()
+        transaction = SetCommit()
         self.carry_alarm(condition, moment, transaction)
         if transaction.events:
             self.commit(transaction)
@@ -237,9 +223,9 @@ class SetAssessor:
         shelved = [row for row in self.alarms.values() if row.suppressed == "shelved"]
         changes = [change for row in shelved if (change := end_expired_shelf(row, moment, time.time_ns()))]
         if changes:
-            transaction = Transaction()
+            transaction = SetCommit()
             for change in changes:
-                transaction.add_alarm(change, moment)
+                transaction.add_alarm(change.row, change.event(moment))
             self.commit(transaction)
 
     def _unanswered(self, record: SetRecord) -> str:
@@ -255,7 +241,7 @@ class SetAssessor:
         """Return whether there is an alarm, or a delay before one, that an absent condition ends."""
         return (position, kind) in self.alarms or (position, kind) in self._delayed_since_ns
 
-    def carry_alarm(self, condition: Condition, moment: Moment, transaction: Transaction) -> None:
+    def carry_alarm(self, condition: Condition, moment: Moment, transaction: SetCommit) -> None:
         """Add what becomes of an alarm with a condition, unless it is held back."""
         key = (condition.position, condition.kind)
         row, since_ns = self.alarms.get(key), self._delayed_since_ns.get(key)
@@ -265,7 +251,7 @@ class SetAssessor:
             to_follow, now_since_ns = apply_delays(row, condition, since_ns, moment, rule)
         if now_since_ns != since_ns:
             delay = {"alarm_kind": condition.kind, "since_utc_ns": now_since_ns}
-            transaction.add_event(DELAY_EVENT, delay, moment, position=condition.position, topic="alarms")
+            transaction.events.append(moment.event("alarms", DELAY_EVENT, delay, position=condition.position))
         change = None if to_follow is None else update(row, to_follow, moment)
         if change is not None:
             if (
@@ -275,7 +261,7 @@ class SetAssessor:
             ):
                 # At once: through a hole the solution reaches what it should not, and the current with it.
                 self.drive.trip(condition.message, moment.due_h)
-            transaction.add_alarm(change, moment)
+            transaction.add_alarm(change.row, change.event(moment))
             log.warning("%s at hour %g: %s", change.event_kind, moment.due_h, change.row.message)
 
     def take_stored(self, event: EventRow) -> None:
@@ -285,18 +271,18 @@ class SetAssessor:
             payload = event.payload
             self._delayed_since_ns[(event.position, payload["alarm_kind"])] = payload["since_utc_ns"]
 
-    def with_environment(self, due: DueSet, moment: Moment, transaction: Transaction) -> Transaction:
+    def with_environment(self, due: DueSet, moment: Moment, transaction: SetCommit) -> SetCommit:
         """Add the readings of supply and climate probe since the last set."""
         if self.drive is not None:
             self.drive.add_row(transaction, due, moment)
         return transaction
 
-    def commit(self, transaction: Transaction) -> None:
+    def commit(self, transaction: SetCommit) -> None:
         """Store rows, alarms and events in one transaction, then report them."""
         self.store(transaction)
         self.publish(transaction)
 
-    def store(self, transaction: Transaction) -> None:
+    def store(self, transaction: SetCommit) -> None:
         """Store rows, alarms and events; what later sets build on is taken over only after that.
 
         Called again after an error, it first looks whether the commit took place all the same.
@@ -314,42 +300,69 @@ class SetAssessor:
         for row, alarm_id in zip(transaction.alarms, committed.alarm_ids, strict=True):
             self.alarms[(row.position, row.kind)] = replace(row, id=alarm_id)
 
-    def publish(self, transaction: Transaction) -> None:
+    def publish(self, transaction: SetCommit) -> None:
         """Update the state with a stored transaction, and report its alarms and gaps."""
         for event in transaction.events:
             self.take_stored(event)
         self.confirmations.take_rows(transaction)
-        _report_changes(transaction, self._news)
+        report_changes(transaction, self._news)
 
 
-def add_confirmation(alarms: Alarms, position: str, transaction: Transaction, moment: Moment) -> None:
-    """Add the result of a confirmation set to the active alarm of its position."""
-    assessment = transaction.assessments[0] if transaction.assessments else None
-    payload = asdict(summarize_confirmation(transaction.sets[0], assessment))
-    for kind in ALARMS_OF_CHANGE:
-        row = alarms.get((position, kind))
-        if row is not None and row.state != "normal":
-            transaction.add_alarm(add_evidence(row, {"confirmation": payload}, moment), moment)
+def shot_row(
+    measurement: Shot | PulseEchoRecord, *, valid: bool, flags: Sequence[str], outcome: Outcome = ACCEPTED
+) -> ShotRow:
+    """Return the catalogue row of a stored record."""
+    key, stamp = measurement.key, measurement.stamp
+    return ShotRow(
+        sequence=measurement.sequence,
+        set_index=key.set_index,
+        unscheduled_index=key.unscheduled_index,
+        position=key.position,
+        shot_index=key.shot_index,
+        attempt=key.attempt,
+        utc_ns=stamp.utc_ns,
+        mono_ns=stamp.mono_ns,
+        boot_id=stamp.boot_id,
+        crc32=waveform_crc32(measurement.waveform),
+        valid=valid,
+        flags=list(flags),
+        outcome=outcome,
+    )
 
 
-def _report_changes(transaction: Transaction, news: Callable[..., None]) -> None:
-    """Report gaps and alarm changes to the program that started the test."""
-    lacking: dict[tuple[int, str, str], list[str]] = {}
-    for row in transaction.sets:
-        if row.state in ("missed", "partial") and row.purpose is None:
-            lacking.setdefault((row.set_index, row.state, row.reason or ""), []).append(row.position)
-    for (set_index, state, reason), positions in lacking.items():
-        news("gap", set_index=set_index, state=state, reason=reason, positions=positions)
-    for at, row_at in transaction.alarm_of_event.items():
-        alarm = transaction.alarms[row_at]
-        since_h = (alarm.changed_utc_ns - alarm.raised_utc_ns) / NS_PER_H
-        news(
-            "alarm",
-            change=transaction.events[at].kind,
-            hour=alarm.raised_h + since_h,
-            priority=alarm.priority,
-            message=alarm.message,
-        )
+def add_position(
+    transaction: SetCommit,
+    its_set: SetRow,
+    measurements: Sequence[Shot | PulseEchoRecord],
+    position_result: PositionResult,
+    moment: Moment,
+    outcomes: Mapping[int, str] = MappingProxyType({}),
+) -> None:
+    """Add rows and events of a set at one position; ``outcomes`` name the records that are not accepted."""
+    event = partial(moment.event, position=its_set.position)
+    transaction.sets.append(its_set)
+    for measurement in measurements:
+        flags = position_result.shot_flags[measurement.sequence]
+        valid = measurement.sequence not in position_result.invalid
+        outcome: Outcome = SUPERSEDED if outcomes.get(measurement.sequence) == SUPERSEDED else ACCEPTED
+        transaction.shots.append(shot_row(measurement, valid=valid, flags=flags, outcome=outcome))
+    transaction.features += position_result.features
+    transaction.thickness += position_result.thickness
+    transaction.assessments += position_result.assessments
+    # A reader joins the row, so the event holds no copy; that of a collecting baseline is replaced later.
+    transaction.events.append(event("sets", f"set_{its_set.state}", {}))
+    if any(row.shot_index is None for row in position_result.features):
+        transaction.events.append(event("features", "set_features", {}))
+    if position_result.thickness:
+        transaction.events.append(event("thickness", "thickness_read", {}))
+    if (baseline := position_result.baseline) is not None:
+        approved_ns = moment.utc_ns if baseline.state == "approved" else None
+        baseline = replace(baseline, created_utc_ns=moment.utc_ns, approved_utc_ns=approved_ns)
+        frozen = event("assessments", "baseline_frozen", {})
+        transaction.add_baseline(baseline, frozen, last="created_utc_ns")
+    for assessment in position_result.assessments[-1:]:
+        payload = payload_of(assessment) if assessment.in_baseline else {}
+        transaction.events.append(event("assessments", "set_assessed", payload))
 
 
 class PositionAssessors:

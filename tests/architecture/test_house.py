@@ -12,9 +12,9 @@ from pathlib import Path
 import grimp
 
 ROOT = Path(__file__).parents[2]
-MOST_ANY = {"daq_service": 266, "simulator": 259, "analysis": 6, "hardware_drivers": 37}
+MOST_ANY = {"daq_service": 260, "simulator": 259, "analysis": 6, "hardware_drivers": 36}
 """Of each package; lower a number with the code, never raise it."""
-MOST_MAPPINGS = {"daq_service": 64, "simulator": 14, "analysis": 3, "hardware_drivers": 1}
+MOST_MAPPINGS = {"daq_service": 60, "simulator": 14, "analysis": 3, "hardware_drivers": 1}
 """``dict[str, Any]`` of each package, likewise."""
 MOST_ROOMS = 18
 """Of a level: what a newcomer takes in at a glance; the client must be found at the top (decision 33)."""

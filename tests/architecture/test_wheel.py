@@ -56,6 +56,7 @@ def test_the_wheel_holds_configuration_dashboard_templates_migrations_and_licenc
         *(f"daq_service/web/templates/{path.name}" for path in TEMPLATES),
         "daq_service/web/dashboard/vendor/uplot/LICENSE",
         "daq_service/alarms/guidance.toml",
+        "daq_service/catalogue/earlier_names.toml",
         "daq_service/catalogue/migrations/versions/revision_0001_first_catalogue.sql",
         "simulator/doubles/chassis/boards.toml",
         "simulator/parameters/environmental_variability.toml",

@@ -2,9 +2,10 @@
 
 import csv
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import tomllib
+from dataclasses import replace
 from datetime import datetime, timedelta
+from pathlib import Path
 from urllib.parse import urlencode
 
 import numpy as np
@@ -96,30 +97,14 @@ def page(service, browser):
         yield page
 
 
-# ---- steps, as a person does them ----------------------------------------------------------------
-
-
-def click(selector):
-    return "click", selector
-
-
-def point(chart, hour):
-    """Click on the point of a chart at an hour."""
-    return "point", (chart, hour)
-
-
-def keys(text):
-    """Type keys without a click."""
-    return "type", text
-
-
-def do(page, step):
-    verb, what = step
+def do(page, verb, what):
+    """Click on an element, on the point of a chart at an hour, or type keys without a click."""
     if verb == "click":
         page.locator(what).click()
     elif verb == "point":
-        page.locator(f"#{what[0]} .plot").scroll_into_view_if_needed()
-        page.mouse.click(*at_hour(page, *what))
+        chart, hour = what.split()
+        page.locator(f"#{chart} .plot").scroll_into_view_if_needed()
+        page.mouse.click(*at_hour(page, chart, float(hour)))
     else:
         page.keyboard.type(what)
 
@@ -230,124 +215,13 @@ def is_noted_of_now(page, api, filled):
     assert note_fields == ["ann", "bath refilled", now_h, now_h]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Task:
-    """Task of a user: a question or an operation.
-
-    Attributes
-    ----------
-    view
-        Where the person is, as the query of the page's address.
-    steps
-        Presses of a pointer and keys, in order.
-    seen
-        Asserts that the page says what the service does.
-    clicks
-        How many presses it takes, those in `seen` too.
-    """
-
-    question: str
-    steps: tuple[tuple[str, object], ...]
-    seen: Callable[..., None]
-    clicks: int
-    view: str = ""
+TASKS = tomllib.loads(Path(__file__).with_name("ten_tasks.toml").read_text(encoding="utf-8"))["tasks"]
 
 
-def of_alarm(number, name):
-    return click(f'[data-alarm="{number}"] >> role=button[name=/^{name}/]')
-
-
-TASKS = (
-    Task(
-        question="How did the first shot of C's first outlier look?",
-        steps=(
-            click('#tiles [data-position="C"]'),
-            point("distance", 25.0),
-            click('#set [data-shot="0"]'),
-        ),
-        seen=is_the_shot_of_the_first_outlier,
-        clicks=3,
-    ),
-    Task(
-        question="How do B and D compare?",
-        steps=(click('role=button[name="with D"]'),),
-        seen=are_b_and_d_on_one_axis,
-        clicks=1,
-    ),
-    Task(
-        question="Tell me nothing of C's alarm for 8 h",
-        steps=(
-            of_alarm(OF_C, "Shelve"),
-            keys("known leak"),
-            click('role=button[name="Shelve it"]'),
-        ),
-        seen=is_shelved_for_eight_hours,
-        clicks=2,
-    ),
-    Task(
-        question="Who held the test yesterday?",
-        steps=(
-            click("#audit summary"),
-            click('#audit >> role=button[name="Pauses"]'),
-            click('#audit >> role=button[name="Yesterday"]'),
-        ),
-        seen=is_who_held_it_yesterday,
-        clicks=3,
-    ),
-    Task(
-        question="Send a colleague what I see",
-        steps=(click('role=button[name="Copy link"]'),),
-        seen=check_link_shows_the_same_view,
-        clicks=1,
-        view="?compare=D&from_h=3&to_h=27",
-    ),
-    Task(
-        question="Give me these numbers as CSV",
-        steps=(click('summary[aria-label="Export: Time of flight"]'),),
-        seen=is_the_file_of_what_is_shown,
-        clicks=2,
-        view="?from_h=4&to_h=12",
-    ),
-    Task(
-        question="I have seen B's alarm; the next shift shall know why",
-        steps=(
-            of_alarm(OF_B, "Acknowledge with a note"),
-            keys("couplant renewed"),
-            click('dialog >> role=button[name="Acknowledge"]'),
-        ),
-        seen=is_acknowledged_with_its_note,
-        clicks=2,
-    ),
-    Task(
-        question="What happened in the last 24 h?",
-        steps=(click('role=button[name="Last 24 h"]'),),
-        seen=are_the_last_24_hours,
-        clicks=1,
-    ),
-    Task(
-        question="How did the waves change when C's alarm was raised?",
-        steps=(of_alarm(OF_C, "Show hour"),),
-        seen=is_the_waterfall_around_the_alarm,
-        clicks=1,
-    ),
-    Task(
-        question="Note that the bath was refilled just now",
-        steps=(
-            click('role=button[name="Add a note"]'),
-            keys("bath refilled"),
-            click('dialog >> role=button[name="Now"]'),
-            click('role=button[name="Save the note"]'),
-        ),
-        seen=is_noted_of_now,
-        clicks=3,
-    ),
-)
-
-
-@pytest.mark.parametrize("task", TASKS, ids=lambda task: task.question)
+@pytest.mark.parametrize("task", TASKS, ids=lambda task: task["question"])
 def test_each_task_takes_three_clicks_at_most(page, api, filled, task):
-    page.evaluate(GO_TO, task.view)
-    for step in task.steps:
-        do(page, step)
-    task.seen(page, api, filled)
-    assert int(page.evaluate("sessionStorage.presses")) == task.clicks <= MOST_CLICKS
+    page.evaluate(GO_TO, task.get("view", ""))
+    for step in task["steps"]:
+        do(page, *step.split(" ", 1))
+    globals()[task["seen"]](page, api, filled)
+    assert int(page.evaluate("sessionStorage.presses")) == task["clicks"] <= MOST_CLICKS

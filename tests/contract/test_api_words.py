@@ -12,7 +12,7 @@ from daq_service.web.routes.stream import TOPICS
 ROOT = Path(__file__).resolve().parents[2]
 PAGE = (ROOT / "docs" / "reference" / "api.md").read_text(encoding="utf-8")
 OF_HTTP = {"bad-request", "method-not-allowed", "http-error"}
-TELLERS = ("recording", "background", "assessment", "commands", "alarms")
+SOURCES = ("recording", "background", "assessment", "commands", "alarms", "corrosion_drive")
 
 
 def trees(*rooms):
@@ -67,7 +67,7 @@ def test_every_type_of_problem_is_raised_and_listed_with_its_status():
 
 def kinds_of_the_code():
     """Return the literals where the code names the kind of an event."""
-    parsed = list(trees(*TELLERS))
+    parsed = list(trees(*SOURCES))
     constants = {}
     for _, tree in parsed:
         constants |= constants_of(tree)
@@ -78,7 +78,7 @@ def kinds_of_the_code():
                 place = node.args[0]
             elif name == "annotate":
                 place = node.args[1]
-            elif name in {"tell", "_tell", "add_event", "_add_event", "store_event"} and len(node.args) >= 2:
+            elif name in {"event", "add_event", "store_event"} and len(node.args) >= 2:
                 first = set(texts(node.args[0], constants))
                 place = node.args[1] if first & set(TOPICS) else node.args[0]
             elif name == "change_state":

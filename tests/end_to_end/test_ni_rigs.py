@@ -185,9 +185,9 @@ def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function, t
     with open_catalogue(tmp_path) as catalogue:
         sets = catalogue.rows(SetRow, position="D")
         starts = catalogue.events_after(0, {"service"}, limit=None)
-    # A busy machine may take so long for the start that it counts as hung, too.
-    restart = [row.payload["before"] for row in starts if row.kind == "recorder_started"][-1]
-    assert "hung while taking set" in restart
+    # A busy machine may take so long for the start, or for storing a set, that it counts as hung, too.
+    restarts = [row.payload["before"] or "" for row in starts if row.kind == "recorder_started"]
+    assert any("hung while taking set" in restart for restart in restarts)
     missed = [row for row in sets if row.state == "missed"]
     assert missed, "the sets of that time are gaps in the ledger"
     # Not all: on a busy machine sets may also fall due while the recorder opens the rig.

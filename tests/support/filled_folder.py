@@ -19,7 +19,6 @@ from daq_service.alarms.operator_actions import acknowledge, reset, shelve
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import PositionRecord, SetRecord
 from daq_service.assessment.confirmation import CONFIRMATION_ASKED, Confirmation
-from daq_service.assessment.transaction import Transaction, shot_row
 from daq_service.background.live_figure import LiveFigure
 from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.rows import (
@@ -39,6 +38,7 @@ from daq_service.clock import TimeLine, parse_utc
 from daq_service.processes.data_folder import own_data_folder
 from daq_service.processes.heartbeat import Heartbeat
 from daq_service.processes.recorder_state import FAREWELLS
+from daq_service.recording.set_assessor import shot_row
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import PulseEchoRecord, SetKey, Shot, ShotKey, Stamp
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
@@ -268,11 +268,11 @@ class FilledFolder:
         """
         planned = self.due[planned_set]
         due = unscheduled_set(1, planned, planned.due_utc_ns + 60 * NS_PER_S, position)
-        transaction = Transaction()
+        transaction = SetCommit()
         for author in authors:
             asked = Confirmation(due=due, reason=STEP, author=author).payload()
             moment = Moment(utc_ns=due.due_utc_ns, due_h=due.due_h, set_index=planned_set)
-            transaction.add_event(CONFIRMATION_ASKED, asked, moment, position=position)
+            transaction.events.append(moment.event("service", CONFIRMATION_ASKED, asked, position=position))
         its = {**due.set_key._asdict(), "position": position, "due_h": due.due_h}
         row = SetRow(
             **its,
@@ -384,9 +384,9 @@ class FilledFolder:
             author="ann",
             written_utc_ns=self.due[0].due_utc_ns,
         )
-        transaction = Transaction()
+        transaction = SetCommit()
         now = Moment(utc_ns=row.written_utc_ns, due_h=from_h, set_index=None)
-        transaction.annotate(row, "annotation_added", now)
+        transaction.add_annotation(row, now.event("annotations", "annotation_added", {}, position=position))
         return self.catalogue.commit_set(transaction).annotation_ids[0]
 
     def show(self, records, hour: float) -> None:

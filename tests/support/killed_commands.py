@@ -20,7 +20,6 @@ import orjson
 from daq_service.acquisition.schedule import plan
 from daq_service.alarms.states import Moment
 from daq_service.archive import FolderArchive
-from daq_service.assessment.transaction import Transaction
 from daq_service.catalogue import RecorderCatalogue, SetCommit, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.catalogue.history import HistoryFollower, read_history
@@ -99,8 +98,8 @@ def recorder_on(folder: Path, catalogue: RecorderCatalogue) -> Callable[[], None
     def moment() -> Moment:
         return Moment(utc_ns=clock.utc_ns(), due_h=0.0, set_index=None)
 
-    def confirmation(position: str, author: str, reason: str) -> Transaction:
-        transaction = Transaction()
+    def confirmation(position: str, author: str, reason: str) -> SetCommit:
+        transaction = SetCommit()
         first = plan(WAVES_ONLY.schedule.phases, clock.utc_ns())[0]
         ledger.confirmations.add(reason, first, position, moment(), transaction, author)
         return transaction

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, is_dataclass, replace
+from datetime import UTC, datetime
 from typing import Any
 
 import numpy as np
@@ -22,8 +23,9 @@ from daq_service.archive import (
     StoreTimings,
     waveform_crc32,
 )
-from daq_service.archive.records import JournalDamage, set_reference
+from daq_service.archive.records import SETS_FOLDER, JournalDamage
 from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot, Waveform
+from hardware_drivers.nanoseconds import NS_PER_S
 
 NO_TIME = StoreTimings(image_s=0.0, fsync_s=0.0)
 
@@ -36,6 +38,13 @@ class Shelf:
     open: dict[SetKey, OpenSet] = field(default_factory=dict)
     damaged: set[tuple[SetReference, int]] = field(default_factory=set)
     quarantine: list[tuple[SetReference, SetRecord]] = field(default_factory=list)
+
+
+def reference_of(set_key: SetKey, due_utc_ns: int) -> SetReference:
+    """Return the reference of a set, as a folder names its file."""
+    due = datetime.fromtimestamp(due_utc_ns // NS_PER_S, tz=UTC)
+    number = f"_{set_key.unscheduled_index:03d}" if set_key.unscheduled_index else ""
+    return SetReference(f"{SETS_FOLDER}/set_{set_key.set_index:06d}_{due:%Y%m%dT%H%M%SZ}{number}.h5")
 
 
 class MemoryArchive:
@@ -94,7 +103,7 @@ class MemoryArchive:
         self.shelf.open.pop(set_key, None)
 
     def store_set(self, record: SetRecord) -> StoredSet:
-        reference = set_reference(record.set_key, record.due_utc_ns)
+        reference = reference_of(record.set_key, record.due_utc_ns)
         stored = self.sets().get(record.set_key)
         record = replace(
             record,

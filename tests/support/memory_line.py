@@ -295,7 +295,7 @@ class Line:
             try:
                 return recorder.run(not_running_reason=cause)
             finally:
-                recorder.leave()
+                recorder.commands.leave()
                 self.runs = False
 
     def features_of(self, shot: Shot) -> ShotFeatures:

@@ -12,7 +12,8 @@ import io
 import re
 import sys
 import tempfile
-from collections.abc import Iterator
+import tomllib
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,59 +60,13 @@ class Picture:
     file: str
     hour: int
     of: str
-    shows: tuple[str, ...]
+    shows: Sequence[str]
     position: str = "B"
 
 
-PICTURES = (
-    Picture(
-        file="pictures/demo.svg",
-        hour=12,
-        of="demo",
-        shows=("solimon demo: ", "hour 12.0, set 24 of 24", "none: the baseline is still being recorded"),
-    ),
-    Picture(
-        file="pictures/waveform.png",
-        hour=12,
-        of="#waveform",
-        shows=("Live waveform · B", "ISW (incident)", "PSW (primary reflected)", "SSW (secondary reflected)"),
-    ),
-    Picture(
-        file="pictures/baseline.png",
-        hour=12,
-        of="#tiles",
-        shows=("Learning", "Time of flight", "Normal", "hour 12.0"),
-    ),
-    Picture(
-        file="pictures/distance.png",
-        hour=60,
-        of="#distance",
-        shows=("Mahalanobis squared distance", "predictive F limit", "paper's mean + 3 SD limit", "outlier"),
-    ),
-    Picture(
-        file="pictures/alarms.png",
-        hour=60,
-        of="#alarms",
-        shows=("waiting for acknowledgement", "the chart of B stands at", "Acknowledge"),
-    ),
-    Picture(
-        file="pictures/status.svg",
-        hour=60,
-        of="status",
-        shows=("finished: every planned set has its row", "hour 60.", "wall_change", "D² "),
-    ),
-    Picture(
-        file="dashboard.png",
-        hour=226,
-        of="body",
-        shows=("Hour 226.0", "Mahalanobis squared distance", "waiting for acknowledgement"),
-    ),
-    Picture(
-        file="pictures/hole.png",
-        hour=280,
-        of="#disabled",
-        shows=("no reflected wave at B", "the wall has a hole", "the transducer strikes no more"),
-    ),
+PICTURES = tuple(
+    Picture(**one)
+    for one in tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))["pictures"]
 )
 
 

@@ -28,7 +28,7 @@ from daq_service import shared_file
 from daq_service.archive.records import set_reference
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.live_figure import LiveFigure
-from daq_service.catalogue import open_catalogue, stored_rows
+from daq_service.catalogue import errors, open_catalogue
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.clock import MachineClock, WallClock, parse_utc
 from daq_service.errors import StorageError
@@ -114,7 +114,7 @@ def injected(clock: Time) -> Iterator[None]:
         stack.enter_context(patch.object(time, "monotonic", clock.s))
         stack.enter_context(patch.object(time, "monotonic_ns", clock.ns))
         stack.enter_context(patch.object(session, "elapsed_ns", clock.ns))
-        stack.enter_context(patch.object(stored_rows, "BUSY_TIMEOUT_S", 0.01))
+        stack.enter_context(patch.object(errors, "BUSY_TIMEOUT_S", 0.01))
         yield
 
 

@@ -17,16 +17,17 @@ from typing import Any
 import numpy as np
 import orjson
 
-from daq_service.archive.records import SetRecord, waveform_crc32
 from hardware_drivers.measurement import (
     Calibration,
     MissedShot,
     PulseEchoRecord,
     SetKey,
+    SetRecord,
     Shot,
     ShotKey,
     Stamp,
     Waveform,
+    waveform_crc32,
 )
 
 MAGIC = b"SOLJ"

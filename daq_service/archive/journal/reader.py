@@ -9,18 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from daq_service.archive.journal.frames import Frame, Kind, frames, missed_of, record_of
-from daq_service.archive.records import (
-    JOURNAL_FOLDER,
-    Damage,
-    OpenSet,
-    Places,
-    PositionRecord,
-    SetRecord,
-    SetReference,
-    set_reference,
-)
+from daq_service.archive.records import JOURNAL_FOLDER, Damage, OpenSet, Places, SetReference, set_reference
 from daq_service.shared_file import read_shared
-from hardware_drivers.measurement import MissedShot, PulseEchoRecord, SetKey, Shot, ShotKey
+from hardware_drivers.measurement import (
+    MissedShot,
+    PositionRecord,
+    PulseEchoRecord,
+    SetKey,
+    SetRecord,
+    Shot,
+    ShotKey,
+)
 
 _NAME = re.compile(r"(\d{6,})\.journal")
 

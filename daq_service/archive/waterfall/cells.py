@@ -16,8 +16,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from daq_service.archive.records import Results, SetRecord
-from hardware_drivers.measurement import PulseEchoRecord, Shot, Waveform
+from hardware_drivers.measurement import PulseEchoRecord, Results, SetRecord, Shot, Waveform
 
 Alignment = Literal["trigger", "first"]
 """Anchor of a record: the trigger, or its first detected pulse (ISW) or echo."""

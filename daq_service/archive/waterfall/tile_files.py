@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from daq_service.archive.reader import FolderSetReader
-from daq_service.archive.records import SetRecord, SetReference
+from daq_service.archive.records import SetReference
 from daq_service.archive.waterfall.cells import (
     ALIGNMENTS,
     Alignment,
@@ -17,6 +17,7 @@ from daq_service.archive.waterfall.cells import (
     planes_of_set,
 )
 from daq_service.archive.waterfall.tiles import TILES_FOLDER, TileRow, Tiles
+from hardware_drivers.measurement import SetRecord
 
 
 def write_tiles_of_set(

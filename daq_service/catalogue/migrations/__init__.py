@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
-from sqlalchemy import Engine, insert, text
+from sqlalchemy import Connection, Engine, bindparam, select, text, update
 
 from daq_service.catalogue.errors import SchemaVersionError
 from daq_service.catalogue.rows import CountsRow
-from daq_service.catalogue.stored_rows import seal_unsealed, storable, writing
-from daq_service.catalogue.tables import counts, metadata
+from daq_service.catalogue.stored_rows import insert_rows, row_crc32, writing
+from daq_service.catalogue.tables import KINDS, ROW_CRC32, TABLES, metadata
 from daq_service.catalogue.trends import rebuild_trends
 
 SCHEMA_REVISION = max(path.stem[9:13] for path in Path(__file__).parent.glob("versions/revision_*.py"))
@@ -43,7 +45,7 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
             connection.execute(text(_VERSION_TABLE))
             version = text("INSERT INTO alembic_version VALUES (:revision)")
             connection.execute(version, {"revision": SCHEMA_REVISION})
-            connection.execute(insert(counts), storable(CountsRow()))
+            insert_rows(connection, [CountsRow()])
         return
     # Alembic takes half a second to import: only a folder of an earlier version needs it.
     from alembic import command
@@ -64,5 +66,19 @@ def migrate(engine: Engine, path: Path, found: str | None) -> None:
     with writing(engine) as connection:
         config.attributes["connection"] = connection
         command.upgrade(config, "head")
-        seal_unsealed(connection)
+        _seal_unsealed(connection)
         rebuild_trends(connection)
+
+
+def _seal_unsealed(connection: Connection) -> None:
+    """Compute the checksums of rows without one."""
+    for kind in KINDS:
+        table = TABLES[kind]
+        key = table.primary_key.columns[0]
+        columns = [table.c[name] for name in kind.__slots__]
+        rows_without: Iterable[Any] = connection.execute(select(*columns).where(table.c[ROW_CRC32].is_(None)))
+        rows = (kind(**dict(zip(kind.__slots__, stored, strict=True))) for stored in rows_without)
+        checksums = [{"its_key": getattr(row, key.name), "its_crc32": row_crc32(row)} for row in rows]
+        if checksums:
+            statement = update(table).where(key == bindparam("its_key"))
+            connection.execute(statement.values({ROW_CRC32: bindparam("its_crc32")}), checksums)

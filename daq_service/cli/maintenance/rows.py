@@ -10,8 +10,8 @@ from typing import Any, TypeVar
 from daq_service.archive import SetRecord, SetReference
 from daq_service.assessment.results_in_file import find_differences as results_differ
 from daq_service.assessment.results_in_file import results_of
-from daq_service.assessment.transaction import shot_row
 from daq_service.catalogue.rows import FeatureRow, Outcome, Row, ShotRow, ThicknessRow, values
+from daq_service.recording.set_assessor import shot_row
 from hardware_drivers.methods import PULSE_ECHO
 
 R = TypeVar("R", bound=Row)

@@ -21,8 +21,7 @@ from daq_service.alarms.operator_actions import AFTER_ACKNOWLEDGEMENT, acknowled
 from daq_service.alarms.states import Change, Moment
 from daq_service.archive import FolderSetReader, SetRecord, SetReference
 from daq_service.assessment.baseline_lifecycle import STEPS, baseline_range
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import Catalogue, RecorderCatalogue
+from daq_service.catalogue import Catalogue, RecorderCatalogue, SetCommit
 from daq_service.catalogue.rows import (
     AlarmRow,
     BaselineRow,
@@ -177,7 +176,7 @@ class _Reassessment:
 
     def _take_set_without_records(self, rows: list[SetRow]) -> None:
         """Store the rows of a set without records; failed strikes may raise alarms."""
-        self._assessor.commit(Transaction(sets=[replace(row, id=None) for row in rows]))
+        self._assessor.commit(SetCommit(sets=[replace(row, id=None) for row in rows]))
         for row in rows:
             if row.purpose is None and row.state != "disabled" and row.n_missed:
                 utc_ns = row.ended_utc_ns or row.due_utc_ns
@@ -224,6 +223,6 @@ class _Reassessment:
         elif row is not None and event.kind == "alarm_reset" and row.state != "normal":
             change = reset(row, author, note, moment)
         if change is not None:
-            transaction = Transaction()
-            transaction.add_alarm(change, moment)
+            transaction = SetCommit()
+            transaction.add_alarm(change.row, change.event(moment))
             self._assessor.commit(transaction)

@@ -33,8 +33,7 @@ from daq_service.assessment.confirmation import CONFIRMATION_ASKED
 from daq_service.assessment.follow_rows import follow
 from daq_service.assessment.restore_state import first_waveform, is_assessed
 from daq_service.assessment.results_in_file import find_differences, results_of
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.reported_rows import ROW_OF_EVENT, joined, payloads_of, without_rows
 from daq_service.catalogue.rows import (
     MEASURED,
@@ -138,7 +137,7 @@ class _Restoration:
         self._set_assessor = SetAssessor(settings, archive, catalogue, None, rehearsal=rehearsal)
         self._alarms: dict[int, AlarmRow] = {}
         self._late: list[EventRow] = []
-        self._pending, self._n_pending = Transaction(), 0
+        self._pending, self._n_pending = SetCommit(), 0
         self._result = Restored()
 
     def run(self, progress: Progress) -> Restored:
@@ -157,7 +156,7 @@ class _Restoration:
             free = _free_ids(events, runs[number - 1][1] if number else [], runs[number + 1 : number + 2])
             reference = files.pop(set_key, None)
             if reference is None:
-                self._restore_rows(Transaction(), events)
+                self._restore_rows(SetCommit(), events)
             elif free or not self._restore_from_tables(reference, events):
                 self._assess(reference, events, free)
             progress(total - len(files), total)
@@ -202,11 +201,11 @@ class _Restoration:
         if rows is None:
             return False
         shots, features = rows
-        self._restore_rows(Transaction(shots=shots, features=features), events)
+        self._restore_rows(SetCommit(shots=shots, features=features), events)
         self._result.sets += 1
         return True
 
-    def _restore_rows(self, transaction: Transaction, events: Sequence[EventRow]) -> None:
+    def _restore_rows(self, transaction: SetCommit, events: Sequence[EventRow]) -> None:
         """Restore the stored rows of a set; its assessors follow them."""
         transaction = _with_stored_rows(transaction, events, all_rows=True)
         # The events of a set with all its records are complete: a position without one was left out.
@@ -219,7 +218,7 @@ class _Restoration:
         self._follow(transaction)
         self._commit(transaction, events)
 
-    def _follow(self, transaction: Transaction) -> None:
+    def _follow(self, transaction: SetCommit) -> None:
         """Update the states with the rows of a set; add the assessments of a baseline that it completes."""
         results: dict[str, FeatureRow | ThicknessRow] = {row.position: row for row in transaction.thickness}
         results |= {row.position: row for row in transaction.features if row.shot_index is None}
@@ -270,7 +269,7 @@ class _Restoration:
                 record = self._archive.read_set(reference, skip_damaged=True)
             except ArchiveError:
                 if events:
-                    self._restore_rows(Transaction(), events)
+                    self._restore_rows(SetCommit(), events)
                 return
         if why := foreign_reason(record, self._experiment):
             self._result.foreign.append(f"{reference}: {why}")
@@ -304,13 +303,13 @@ class _Restoration:
             self._result.damaged.append(f"{reference} is not the file that was stored: its SHA-256 differs")
         return expected or found
 
-    def _add_environment(self, transaction: Transaction, record: SetRecord) -> None:
+    def _add_environment(self, transaction: SetCommit, record: SetRecord) -> None:
         if record.environment and not transaction.environment and not record.unscheduled_index:
             row = EnvironmentRow(set_index=record.set_index, due_h=record.due_h, **record.environment)  # type: ignore[arg-type] # its columns
             transaction.environment.append(row)
 
     def _commit(
-        self, transaction: Transaction, events: Sequence[EventRow], *, computed_alarms: bool = False
+        self, transaction: SetCommit, events: Sequence[EventRow], *, computed_alarms: bool = False
     ) -> None:
         """Store the rows and events of a set."""
         if computed_alarms:
@@ -338,7 +337,7 @@ class _Restoration:
         self._pending.states = self._set_assessor.assessors.changed_states()
         self._pending.events = without_rows(self._pending.events, _reported_rows(self._pending))
         self._catalogue.commit_set(self._pending)
-        self._pending, self._n_pending = Transaction(), 0
+        self._pending, self._n_pending = SetCommit(), 0
 
     def _placed(
         self, computed: Sequence[EventRow], stored: Sequence[EventRow], free: Sequence[int]
@@ -413,8 +412,8 @@ def _finite_or_none(value: float | None) -> float | None:
 
 
 def _with_stored_rows(
-    transaction: Transaction, events: Sequence[EventRow], *, all_rows: bool = False
-) -> Transaction:
+    transaction: SetCommit, events: Sequence[EventRow], *, all_rows: bool = False
+) -> SetCommit:
     """Replace computed rows by stored ones: those of how a set ended.
 
     Parameters
@@ -437,7 +436,7 @@ def _with_stored_rows(
     return transaction
 
 
-def _reported_rows(transaction: Transaction) -> list[Row]:
+def _reported_rows(transaction: SetCommit) -> list[Row]:
     """Return the rows of a transaction that events report."""
     of_set = [row for row in transaction.features if row.shot_index is None]
     rows = (transaction.sets, of_set, transaction.thickness, transaction.assessments, transaction.environment)

@@ -17,7 +17,7 @@ from analysis.diagnosis.slopes import COMPONENTS, DAMPING, DROP_HEIGHT, GAIN, ST
 from analysis.statistics.rules import AlarmRule, HoleRule
 from daq_service.alarms.evidence import describe_evidence
 from daq_service.assessment.diagnosis_texts import diagnosis_details, diagnosis_text
-from daq_service.assessment.transducer_conditions import wall_conditions
+from daq_service.assessment.solitary_wave import wall_conditions
 from daq_service.recording.set_assessor import state_rows
 
 LAST, SETS = 59, 100

@@ -10,11 +10,10 @@ from functools import partial
 import numpy as np
 import orjson
 import pytest
-from sqlalchemy import event
 from support import invented_rows
 from support.invented_rows import HOUR_0_NS, alarm_row, shot_row
 
-from daq_service.catalogue import SetCommit, check_owner, connection, open_catalogue, stored_rows
+from daq_service.catalogue import SetCommit, check_owner, connection, errors, open_catalogue, stored_rows
 from daq_service.catalogue.errors import (
     CatalogueBusyError,
     CatalogueConflictError,
@@ -34,8 +33,8 @@ from daq_service.catalogue.rows import (
     ShotRow,
     ThicknessRow,
 )
-from daq_service.catalogue.stored_rows import storable
-from daq_service.catalogue.tables import features, sets
+from daq_service.catalogue.stored_rows import insert_rows
+from daq_service.catalogue.tables import features
 from daq_service.clock import boot_name, elapsed_ns
 from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently
@@ -72,11 +71,6 @@ def reader(tmp_path, writer):
 
 def set_row(index, position, state="done", n_taken=2, **changes):
     return invented_rows.set_row(index, position, state=state, n_taken=n_taken, n_valid=n_taken, **changes)
-
-
-def stored(row):
-    """Return the row as SQL values."""
-    return storable(replace(row, id=1))
 
 
 def feature_row(index, position, shot_index, sequence=None, **changes):
@@ -248,10 +242,9 @@ def test_the_file_is_configured_to_survive_a_power_cut(tmp_path, writer):
 
 
 def test_a_reader_cannot_change_anything_but_commands(reader):
-    from sqlalchemy import insert
 
     with pytest.raises(CatalogueWriteError, match="readonly"), reader.reading() as connection_:
-        connection_.execute(insert(sets), stored(set_row(0, "B")))
+        insert_rows(connection_, [replace(set_row(0, "B"), id=1)])
 
 
 def test_a_folder_may_have_any_name(tmp_path):
@@ -626,9 +619,7 @@ def test_a_reader_sees_one_state_from_its_first_to_its_last_query(writer, reader
 
 def test_an_unfinished_commit_neither_blocks_nor_is_visible(writer, reader):
     with writer._writing("test") as connection_:
-        from sqlalchemy import insert
-
-        connection_.execute(insert(sets), stored(set_row(0, "B")))
+        insert_rows(connection_, [replace(set_row(0, "B"), id=1)])
         assert reader.rows(SetRow) == []
     assert len(reader.rows(SetRow)) == 1
 
@@ -646,7 +637,7 @@ def test_a_catalogue_may_be_shared_between_threads(writer, reader):
 
 
 def test_a_writer_that_waits_too_long_raises_an_error(tmp_path, monkeypatch, writer):
-    monkeypatch.setattr(stored_rows, "BUSY_TIMEOUT_S", 0.01)
+    monkeypatch.setattr(errors, "BUSY_TIMEOUT_S", 0.01)
     holder = sqlite3.connect(tmp_path / "catalogue.sqlite", isolation_level=None)
     holder.execute("BEGIN IMMEDIATE")
     with open_catalogue(tmp_path) as reader, pytest.raises(CatalogueBusyError, match=r"for 0\.01 s"):
@@ -655,14 +646,15 @@ def test_a_writer_that_waits_too_long_raises_an_error(tmp_path, monkeypatch, wri
 
 
 def test_a_writer_waits_once_for_a_lock_and_not_in_each_transaction(tmp_path, monkeypatch, writer):
-    monkeypatch.setattr(stored_rows, "BUSY_TIMEOUT_S", 0.01)
+    monkeypatch.setattr(errors, "BUSY_TIMEOUT_S", 0.01)
     waits = []
 
-    @event.listens_for(writer._engine, "before_cursor_execute")
-    def note(connection_, cursor, statement, *rest):
+    def note(statement):
         if statement.startswith("PRAGMA busy_timeout"):
             waits.append(int(statement.rpartition(" ")[2]))
 
+    with writer.reading() as connection_:
+        stored_rows.driver_of(connection_).set_trace_callback(note)
     holder = sqlite3.connect(tmp_path / "catalogue.sqlite", isolation_level=None)
     holder.execute("BEGIN IMMEDIATE")
     for _ in range(4):

@@ -39,6 +39,11 @@ from daq_service.settings.notifications import RuleSettings
 from daq_service.settings.tree import Settings
 from hardware_drivers.measurement import SetKey
 
+EARLIER = json.loads(
+    (Path(__file__).parents[3] / "fixtures" / "earlier_catalogues.json").read_text(encoding="utf-8")
+)
+"""Rows as recorders of earlier schemas stored them, and what they are called now."""
+
 
 def schema_of(path):
     """Return the definition of every table and index as text without layout."""
@@ -117,39 +122,7 @@ def test_migrations_are_found_from_any_working_folder(tmp_path, monkeypatch):
 def make_first_catalogue(path):
     """Fill a catalogue of revision 0001 as the recorder of that version left it."""
     upgrade(path, "0001")
-    rows = {
-        "experiment": [(1, "old", "ab" * 32, "{}", 17, 0, "simulated", "0.1.0")],
-        "sets": [
-            (1, 0, "B", "solitary_wave", 0, 0.5, 1, 2, "done", None, 2, 2, 2, "sets/a.h5"),
-            (2, 0, "C", "solitary_wave", 0, 0.5, None, None, "missed", "no trigger", 2, 0, 0, None),
-        ],
-        "shots": [
-            (7, 0, "B", 0, 0, 1, 1, "boot", 99, 1, "[]"),
-            (8, 0, "B", 1, 0, 2, 2, "boot", 98, 0, '["clipped"]'),
-        ],
-        "commands": [(5, 3, "ann", "supply_on", "{}", "pending", None, None)],
-        "events": [(41, 5, 6, "sets", "set_done", "B", 0, "{}")],
-        "alarms": [
-            (
-                3,
-                "B",
-                "hole",
-                "damage",
-                "critical",
-                "acknowledged",
-                1,
-                0.5,
-                0,
-                2,
-                None,
-                2,
-                "ann",
-                "",
-                "m",
-                "{}",
-            )
-        ],
-    }
+    rows = {table: [tuple(row) for row in rows] for table, rows in EARLIER["0001"].items()}
     with sqlite3.connect(path) as database:
         for table, values in rows.items():
             marks = ", ".join("?" * len(values[0]))
@@ -197,125 +170,6 @@ def test_every_earlier_kind_of_alarm_and_its_settings_have_current_names():
     }
 
 
-PROBABILITIES = {"probabilities": {"wall": 0.97}}
-CONFIRMATION = {"set_index": 10_000_003, "confirms": None, "why_not": "a feature is missing"}
-PROOF = {
-    "cause": "cannot tell",
-    "cause_probability": 0.5,
-    "cause_told": PROBABILITIES,
-    "raised_by": "cause",
-    "chart": 72.0,
-    "limit_name": "chart",
-    "rate_guaranteed": False,
-    "why_not_guaranteed": "48 sets",
-    "poor_sets_running": 2,
-    "supply_quality": "lost",
-    "confirmation": CONFIRMATION,
-}
-EVIDENCE = {
-    "diagnosis": "undetermined",
-    "diagnosis_probability": 0.5,
-    "diagnosis_details": PROBABILITIES,
-    "raised_by": "diagnosis",
-    "mewma_statistic": 72.0,
-    "limit_name": "mewma",
-    "rate_verified": False,
-    "rate_not_verified_reason": "48 sets",
-    "consecutive_poor_sets": 2,
-    "supply_quality": "no_communication",
-    "confirmation": {
-        "set_index": 3,
-        "unscheduled_index": 1,
-        "confirms": None,
-        "reason": "a feature is missing",
-    },
-}
-ALARM_0013 = {
-    "id": 1,
-    "position": "B",
-    "kind": "hole",
-    "family": "device",
-    "severity": "high",
-    "proof": PROOF,
-    "state": "unacknowledged",
-    "raised_utc_ns": 1,
-    "raised_h": 0.5,
-    "raised_set_index": 3,
-    "changed_utc_ns": 2,
-    "message": "m",
-    "suppressed_because": "known",
-}
-"""Values as version 0013 stored them."""
-ALARM = {
-    name: value
-    for name, value in ALARM_0013.items()
-    if name not in ("kind", "family", "severity", "proof", "suppressed_because")
-} | {
-    "kind": "no_reflection",
-    "alarm_class": "diagnostic",
-    "priority": "high",
-    "evidence": EVIDENCE,
-    "suppressed_reason": "known",
-}
-BASELINE_0013 = {
-    "id": 1,
-    "name": "B-baseline-1",
-    "position": "B",
-    "created_utc_ns": 1,
-    "first_set_index": 0,
-    "last_set_index": 1,
-    "n_sets": 2,
-    "feature_names": ["a"],
-    "mean": [1.0],
-    "covariance": [[1.0]],
-    "limit_f": 24.0,
-    "limit_paper": 30.0,
-    "approval": "automatic",
-    "provenance": {},
-    "readiness": {"rate_guaranteed": True, "default_because": ""},
-    "state": "retired",
-    "retired_because": "coupled anew",
-}
-ASSESSMENT_0013 = {
-    "id": 1,
-    "set_index": 3,
-    "position": "B",
-    "due_h": 1.5,
-    "in_baseline": False,
-    "limit_name": "chart",
-    "limit_f": 24.0,
-    "limit_paper": 30.0,
-    "outlier": True,
-    "outlier_paper": False,
-    "chart": 72.0,
-    "chart_alarm": True,
-    "cause": "cannot tell",
-    "cause_probability": 0.5,
-    "cause_told": PROBABILITIES,
-}
-SET_0013 = {
-    "id": 1,
-    "set_index": 3,
-    "position": "B",
-    "method": "solitary_wave",
-    "due_utc_ns": 0,
-    "due_h": 1.5,
-    "state": "retired",
-    "n_planned": 10,
-    "n_taken": 0,
-    "n_valid": 0,
-}
-EVENTS_0013 = [
-    ("sets", "set_retired", SET_0013),
-    ("verdicts", "set_judged", ASSESSMENT_0013),
-    ("verdicts", "baseline_retired", BASELINE_0013),
-    ("alarms", "alarm_returned", ALARM_0013),
-    ("service", "hold", {"held": "by ann", "author": "ann"}),
-    ("service", "confirmation_asked", {"confirmation_set_index": 10_000_003, "because": "x"}),
-    ("environment", "environment", {"set_index": 3, "supply_quality": "lost", "climate_quality": "good"}),
-]
-
-
 def insert(database, table, **values):
     stored = [json.dumps(value) if isinstance(value, dict | list) else value for value in values.values()]
     marks = ", ".join("?" * len(stored))
@@ -324,7 +178,7 @@ def insert(database, table, **values):
 
 @pytest.mark.parametrize("created", [False, True], ids=["migrated to 0013", "created by 0013"])
 def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_path, created):
-    path = tmp_path / "catalogue.sqlite"
+    path, earlier = tmp_path / "catalogue.sqlite", EARLIER["0013"]
     upgrade(path, "0013")
     with closing(sqlite3.connect(path)) as database, database:
         if created:  # its columns stand in another order: the checksum is the last
@@ -335,12 +189,9 @@ def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_pa
             database.execute("ALTER TABLE copied RENAME TO verdicts")
         insert(database, "experiment", id=1, name="t", configuration_hash="ab", configuration={},
                created_utc_ns=1, epoch_utc_ns=7, clock="wall", solimon_version="0")  # fmt: skip
-        for table, row in (
-            *(("sets", SET_0013), ("baselines", BASELINE_0013), ("verdicts", ASSESSMENT_0013)),
-            ("alarms", ALARM_0013),
-        ):
+        for table, row in earlier["rows"].items():
             insert(database, table, **row)
-        for number, (topic, kind, payload) in enumerate(EVENTS_0013, start=1):
+        for number, (topic, kind, payload) in enumerate(earlier["events"], start=1):
             insert(database, "events", id=number, utc_ns=1, wall_utc_ns=2, topic=topic, kind=kind,
                    payload=payload)  # fmt: skip
         insert(database, "commands", id=1, wall_utc_ns=1, author="ann", kind="retire", arguments={},
@@ -348,13 +199,16 @@ def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_pa
     open_catalogue(tmp_path, writer=True).close()
     with open_catalogue(tmp_path) as catalogue:  # which compares every row with its checksum
         (alarm,) = catalogue.rows(AlarmRow)
-        assert {name: getattr(alarm, name) for name in ALARM} == ALARM
+        assert {name: getattr(alarm, name) for name in earlier["current_alarm"]} == earlier["current_alarm"]
         (baseline,) = catalogue.rows(BaselineRow)
         assert (baseline.limit_f_predictive, baseline.limit_mean_3sd) == (24.0, 30.0)
         assert baseline.baseline_quality == {"rate_verified": True, "default_reason": ""}
         assert (baseline.state, baseline.retired_reason) == ("retired", "coupled anew")
         (assessment,) = catalogue.rows(AssessmentRow)
-        assert (assessment.diagnosis, assessment.diagnosis_details) == ("undetermined", PROBABILITIES)
+        assert (assessment.diagnosis, assessment.diagnosis_details) == (
+            "undetermined",
+            {"probabilities": {"wall": 0.97}},
+        )
         assert (assessment.mewma_statistic, assessment.mewma_alarm) == (72.0, True)
         assert (assessment.outlier, assessment.outlier_mean_3sd) == (True, False)
         (its_set,) = catalogue.rows(SetRow)
@@ -371,67 +225,51 @@ def test_a_catalogue_of_revision_0013_is_read_with_the_names_of_the_field(tmp_pa
         assert events[1].payload["diagnosis"] == "undetermined"
         assert events[2].payload["retired_reason"] == "coupled anew"
         assert events[2].payload["state"] == "retired"
-        assert events[3].payload == ALARM
+        assert events[3].payload == earlier["current_alarm"]
         assert events[5].payload["reason"] == "x"
         assert events[6].payload["supply_quality"] == "no_communication"
         assert catalogue.experiment_row().uuid == derived_uuid("ab", 7)
         # A line of the history is the same row, and a current row stays as it is.
-        for event, (topic, kind, payload) in zip(events, EVENTS_0013, strict=True):
+        for event, (topic, kind, payload) in zip(events, earlier["events"], strict=True):
             line = {**values(event), "topic": topic, "kind": kind, "payload": payload}
             assert current_row("events", line) == values(event) == current_row("events", values(event))
 
 
 NUMBER = 20_000_003
 """Set 3.2 in schema 0015 and earlier."""
-_SET = {
-    "method": "solitary_wave",
-    "due_utc_ns": 0,
-    "state": "done",
-    "n_planned": 1,
-    "n_taken": 1,
-    "n_valid": 1,
-}
-_SHOT = {"shot_index": 0, "attempt": 0, "utc_ns": 1, "mono_ns": 1, "boot_id": "", "crc32": 1, "valid": True}
-_RESULT = {"due_h": 2.0, "extractor_version": "1", "quality": "good"}
-_ALARM = {
-    "kind": "instruments_unavailable",
-    "alarm_class": "diagnostic",
-    "priority": "high",
-    "message": "m",
-    "state": "normal",
-    "raised_utc_ns": 1,
-    "raised_h": 2.0,
-    "changed_utc_ns": 1,
-}
-ROWS_0015 = {
-    "sets": {"due_h": 2.0, **_SET},
-    "shots": {**_SHOT, "flags": []},
-    "features": {**_RESULT, "n_valid": 1},
-    "thickness": _RESULT,
-    "assessments": {"due_h": 2.0, "in_baseline": False, "limit_name": "chart"},
-}
-EVENTS_0015 = [
-    ("alarms", "alarm_raised", {"raised_set_index": NUMBER, "evidence": {"set_index": NUMBER, "error": "e"}}),
-    ("service", "confirmation_asked", {"confirmation_set_index": NUMBER, "reason": "x"}),
-    ("service", "asked", {"set_index": 3, "shot_index": 1}),
-]
 
 
 def test_an_unscheduled_set_of_revision_0015_gets_its_own_column(tmp_path):
-    path = tmp_path / "catalogue.sqlite"
+    path, earlier = tmp_path / "catalogue.sqlite", EARLIER["0015"]
     upgrade(path, "0015")
-    scheduled = SetRow(id=1, set_index=3, position="B", due_h=1.5, **_SET)
+    scheduled = SetRow(id=1, set_index=3, position="B", due_h=1.5, **EARLIER["0015"]["set"])
     crc32 = row_crc32(scheduled)
     with closing(sqlite3.connect(path)) as database, database:
         insert(database, "experiment", id=1, name="t", configuration_hash="ab", configuration={}, uuid="u",
                created_utc_ns=1, epoch_utc_ns=7, clock="wall", solimon_version="0")  # fmt: skip
-        insert(database, "sets", id=1, set_index=3, position="B", due_h=1.5, **_SET, row_crc32=crc32)
-        for number, (table, row) in enumerate(ROWS_0015.items(), start=2):
+        insert(
+            database,
+            "sets",
+            id=1,
+            set_index=3,
+            position="B",
+            due_h=1.5,
+            **EARLIER["0015"]["set"],
+            row_crc32=crc32,
+        )
+        for number, (table, row) in enumerate(earlier["rows"].items(), start=2):
             key = {"sequence": 7} if table == "shots" else {"id": number}
             reference = {"sequence": 7} if table in ("features", "thickness") else {}
             insert(database, table, **key, **reference, set_index=NUMBER, position="B", **row)
-        insert(database, "alarms", id=1, raised_set_index=NUMBER, evidence={"set_index": NUMBER}, **_ALARM)
-        for number, (topic, kind, payload) in enumerate(EVENTS_0015, start=1):
+        insert(
+            database,
+            "alarms",
+            id=1,
+            raised_set_index=NUMBER,
+            evidence={"set_index": NUMBER},
+            **EARLIER["0015"]["alarm"],
+        )
+        for number, (topic, kind, payload) in enumerate(earlier["events"], start=1):
             insert(database, "events", id=number, utc_ns=1, wall_utc_ns=2, topic=topic, kind=kind,
                    payload=payload, set_index=NUMBER)  # fmt: skip
     open_catalogue(tmp_path, writer=True).close()
@@ -447,46 +285,54 @@ def test_an_unscheduled_set_of_revision_0015_gets_its_own_column(tmp_path):
         assert alarm.evidence == {"set_index": 3, "unscheduled_index": 2}
         events = catalogue.rows(EventRow)
         assert [event.set_key for event in events] == [SetKey(3, 2)] * 3
-        assert [event.payload for event in events] == [
-            {
-                "raised_set_index": 3,
-                "raised_unscheduled_index": 2,
-                "evidence": {"set_index": 3, "unscheduled_index": 2, "error": "e"},
-            },
-            {"confirmation_set_index": 3, "confirmation_unscheduled_index": 2, "reason": "x"},
-            {"set_index": 3, "shot_index": 1},
-        ]
-        for event, (topic, kind, payload) in zip(events, EVENTS_0015, strict=True):
+        assert [event.payload for event in events] == earlier["current_payloads"]
+        for event, (topic, kind, payload) in zip(events, earlier["events"], strict=True):
             line = {**values(event), "topic": topic, "kind": kind, "payload": payload, "set_index": NUMBER}
             del line["unscheduled_index"]
             assert EventRow(**current_row("events", line)) == event, "a line of the history is the same row"
 
 
-CHART = {"limits": {"chart": 59.0}, "averages": {"mewma_textbook": [0.5], "chart": [0.25]}}
-EVIDENCE_0016 = {"limit_name": "chart", "raised_by": "chart", "limit": 59.0}
-EVENTS_0016 = [
-    ("service", "pause", {"held": "held by ann: door open", "author": "ann"}),
-    ("assessments", "baseline_frozen", {"id": 1, "limits": {"chart": 59.0}}),
-    ("alarms", "alarm_raised", {"evidence": EVIDENCE_0016}),
-    ("sets", "set_missed", {"cause": "no trigger"}),
-]
-
-
 def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path):
-    path = tmp_path / "catalogue.sqlite"
+    path, earlier = tmp_path / "catalogue.sqlite", EARLIER["0016"]
     upgrade(path, "0016")
-    done = SetRow(id=1, set_index=3, position="B", due_h=1.5, **_SET)
+    done = SetRow(id=1, set_index=3, position="B", due_h=1.5, **EARLIER["0015"]["set"])
     crc32 = row_crc32(done)
     with closing(sqlite3.connect(path)) as database, database:
         insert(database, "experiment", id=1, name="t", configuration_hash="ab", configuration={}, uuid="u",
                created_utc_ns=1, epoch_utc_ns=7, clock="wall", solimon_version="0")  # fmt: skip
-        insert(database, "sets", id=1, set_index=3, position="B", due_h=1.5, **_SET, row_crc32=crc32)
-        insert(database, "sets", id=2, set_index=4, position="B", due_h=2.0, **_SET, cause="no trigger")
-        insert(database, "assessments", id=1, set_index=3, position="B", **ROWS_0015["assessments"], **CHART)
-        insert(database, "alarms", id=1, evidence=EVIDENCE_0016, **_ALARM)
+        insert(
+            database,
+            "sets",
+            id=1,
+            set_index=3,
+            position="B",
+            due_h=1.5,
+            **EARLIER["0015"]["set"],
+            row_crc32=crc32,
+        )
+        insert(
+            database,
+            "sets",
+            id=2,
+            set_index=4,
+            position="B",
+            due_h=2.0,
+            **EARLIER["0015"]["set"],
+            cause="no trigger",
+        )
+        insert(
+            database,
+            "assessments",
+            id=1,
+            set_index=3,
+            position="B",
+            **EARLIER["0015"]["rows"]["assessments"],
+            **earlier["assessment"],
+        )
+        insert(database, "alarms", id=1, evidence=earlier["evidence"], **EARLIER["0015"]["alarm"])
         insert(database, "assessor_states", place="B/running", position="B", configuration_hash="ab",
                format=1, state='{"averages":{"chart":[0.25]}}')  # fmt: skip
-        for number, (topic, kind, payload) in enumerate(EVENTS_0016, start=1):
+        for number, (topic, kind, payload) in enumerate(earlier["events"], start=1):
             insert(database, "events", id=number, utc_ns=1, wall_utc_ns=2, topic=topic, kind=kind,
                    payload=payload)  # fmt: skip
     open_catalogue(tmp_path, writer=True).close()
@@ -501,10 +347,10 @@ def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path)
         assert [row.state for row in catalogue.rows(AssessorStateRow)] == ['{"averages":{"mewma":[0.25]}}']
         assert catalogue.paused() == "held by ann: door open"
         events = catalogue.rows(EventRow)
-        for event, (topic, kind, payload) in zip(events[:3], EVENTS_0016, strict=False):
+        for event, (topic, kind, payload) in zip(events[:3], earlier["events"], strict=False):
             line = {**values(event), "topic": topic, "kind": kind, "payload": payload}
             assert EventRow(**current_row("events", line)) == event, "a line of the history is the same row"
-        assert current_row("sets", EVENTS_0016[3][2]) == {"reason": "no trigger"}
+        assert current_row("sets", earlier["events"][3][2]) == {"reason": "no trigger"}
 
 
 def test_an_interrupted_migration_leaves_a_filled_catalogue_unchanged(tmp_path):

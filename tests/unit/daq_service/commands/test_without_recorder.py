@@ -10,8 +10,7 @@ from support.invented_rows import condition
 from support.new_experiment import new_catalogue
 
 from daq_service.alarms.states import Moment, update
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import open_catalogue
+from daq_service.catalogue import SetCommit, open_catalogue
 from daq_service.catalogue.history import HistoryFollower, read_history
 from daq_service.catalogue.rows import AlarmRow, CommandRow, EventRow
 from daq_service.commands.kinds import CommandRejectedError, Facts, StoredCommand
@@ -27,8 +26,9 @@ HOLE = condition(kind="no_reflection", latched=True)
 def ended_test(folder):
     """Fill a folder with one unacknowledged alarm and no recorder; return the id of the alarm."""
     with new_catalogue(folder) as catalogue:
-        raised, transaction = Moment(utc_ns=5, due_h=5.0, set_index=1), Transaction()
-        transaction.add_alarm(update(None, HOLE, raised), raised)
+        raised, transaction = Moment(utc_ns=5, due_h=5.0, set_index=1), SetCommit()
+        change = update(None, HOLE, raised)
+        transaction.add_alarm(change.row, change.event(raised))
         (alarm_id,) = catalogue.commit_set(transaction).alarm_ids
         HistoryFollower(folder, catalogue).begin()
     return alarm_id

@@ -59,7 +59,7 @@ def start_watch(*alarms, off_at_end=False):
     def carry(condition, moment, transaction):
         change = update(known.get((condition.position, condition.kind)), condition, moment)
         if change is not None:
-            transaction.add_alarm(change, moment)
+            transaction.add_alarm(change.row, change.event(moment))
 
     return DriveWatch(settings, rig, EmptyCatalogue(), known, carry, stored.append), supply, stored
 

@@ -16,8 +16,8 @@ from daq_service.catalogue.rows import EventRow
 from daq_service.processes import resource_use as own_use
 from daq_service.processes.disk_policy import DiskSpace
 from daq_service.recording.computer_load import MACHINE_READ, ComputerLoadWatch
-from daq_service.recording.cost import Cost
 from daq_service.recording.reassessment.rebuild import rebuild
+from daq_service.recording.recorder import Cost
 from hardware_drivers.errors import AcquisitionTimeoutError
 from simulator.clock import SimulatedClock
 

@@ -2,7 +2,7 @@
 
 from itertools import accumulate
 
-from daq_service.recording.cost import Cost
+from daq_service.recording.recorder import Cost
 
 
 def test_the_stages_add_up_to_the_elapsed_time():

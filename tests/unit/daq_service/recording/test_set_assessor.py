@@ -14,8 +14,7 @@ from support.table_rows import forget_states
 from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition.schedule import plan
 from daq_service.archive.errors import ArchiveReadError
-from daq_service.assessment.transaction import Transaction
-from daq_service.catalogue import RecorderCatalogue
+from daq_service.catalogue import RecorderCatalogue, SetCommit
 from daq_service.catalogue.errors import CatalogueWriteError
 from daq_service.clock import parse_utc
 from daq_service.recording.set_assessor import SetAssessor
@@ -270,7 +269,7 @@ def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
     line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
     with recorded(line, 2) as (ledger, again, records):
         ledger.assessors.enable("D")
-        ledger.commit(Transaction())
+        ledger.commit(SetCommit())
         assert restored_states(again)["D"] == bits(ledger.assessors["D"].state)
         assess_set(ledger, again, *records[2])
         assert "D" not in ledger.disabled()

@@ -16,8 +16,8 @@ from support.stored_files import read_waveform, set_files
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
-from daq_service.assessment.transaction import shot_row
 from daq_service.catalogue.rows import SetRow
+from daq_service.recording.set_assessor import shot_row
 from daq_service.settings.tree import Settings
 from daq_service.web.answers.problem import Problem
 from daq_service.web.routes.waveforms import extremes_per_bin
