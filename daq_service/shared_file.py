@@ -19,6 +19,7 @@ import logging
 import os
 import sys
 import time
+import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TypeVar
@@ -42,6 +43,11 @@ LARGEST_BYTES = 4 * 1024**3
 BUFFERS_A_CALL = 512
 """Half of the limit of the operating systems."""
 O_BINARY = getattr(os, "O_BINARY", 0)
+
+
+def packaged_table(module: str) -> dict[str, object]:
+    """Return the TOML file beside a module of the package, which has the module's name."""
+    return tomllib.loads(Path(module).with_suffix(".toml").read_text(encoding="utf-8"))
 
 
 def patiently(

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal
 
 from daq_service.alarms.states import NOT_ASSESSED, disabled_positions
 from daq_service.assessment.methods import METHODS
 from daq_service.assessment.stored_limits import limits_by_name
+from daq_service.catalogue import Catalogue
 from daq_service.catalogue.reader import LatestRows
 from daq_service.processes.freshness import Freshness
-from daq_service.settings.tree import ScheduleSettings
+from daq_service.settings.tree import PositionSettings, ScheduleSettings
 
 STALE_INTERVALS = 1.5
 """A set may be late by half an interval before its position counts as stale."""
@@ -51,6 +53,23 @@ def status_of(last: LatestRows) -> PositionStatus:
     if not METHODS[last.method].has_baseline or (assessment is not None and assessment.outlier is not None):
         return "normal"
     return "collecting_baseline" if assessment is None or assessment.in_baseline else "not_assessed"
+
+
+def age_of(last: LatestRows, fresh: Freshness) -> float | None:
+    """Return the age of the newest measured set of a position on the test clock, h; None without one."""
+    data_h = data_hour(last)
+    return None if data_h is None else fresh.age_h(data_h)
+
+
+def latest_rows(
+    catalogue: Catalogue, fresh: Freshness, positions: Mapping[str, PositionSettings]
+) -> dict[str, LatestRows]:
+    """Return the newest rows of each position with its alarms in their present state."""
+    stored = catalogue.positions_state()
+    return {
+        name: fresh.standing_word(stored.get(name) or LatestRows(position=name, method=place.method))
+        for name, place in positions.items()
+    }
 
 
 def limit_of(last: LatestRows, thinnest_m: float) -> float | None:

@@ -85,7 +85,7 @@ def described_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
     columns: dict[str, PublishedColumn] = {}
     for column in columns_of(kind):
         name = column.published_name
-        form = _form(column.type) if name == column.name else "time"
+        form = form_of(column.type) if name == column.name else "time"
         unit = unit_of(name) if form in ("number", "integer") else ""
         columns[name] = PublishedColumn(name=name, form=form, unit=unit, nullable=column.nullable)
     for hours in [column for column in columns.values() if column.unit == "h"]:
@@ -95,7 +95,7 @@ def described_columns(kind: type[Row]) -> tuple[PublishedColumn, ...]:
     return (*columns.values(), *ADDED_COLUMNS.get(kind, ()), *PARTS.get(kind, {}).values())
 
 
-def _form(of_type: Any) -> Form:
+def form_of(of_type: Any) -> Form:
     """Return the form of a column's type."""
     plain = next((kind for kind in get_args(of_type) if kind is not NoneType), of_type)
     if get_origin(of_type) is Literal or get_origin(plain) is Literal:

@@ -17,7 +17,7 @@ from daq_service.processes.child import log_to, stop_on_signals
 from daq_service.processes.data_folder import new_folder, prepare_data_folder, write_configuration
 from daq_service.processes.printing import print_line, print_result
 from daq_service.processes.supervisor import Message, Supervisor
-from daq_service.rig.doubles import DemoRig, running_rig
+from daq_service.rig.doubles import running_rig
 
 NUISANCE = "laboratory"
 """Level of the twin's disturbances: a quieter rig than any real one would promise too much."""
@@ -43,80 +43,61 @@ def run_demo(
 ) -> int:
     """Run the command and return its exit code."""
     started_s = _process_start_s()
-    pace = pace if pace is not None or exit_when_done or no_web else WATCHABLE_PACE_H_PER_S
+    web, stay = not no_web, not exit_when_done and not no_web
+    browser = not (no_browser or exit_when_done)
+    pace = pace if pace is not None or not stay else WATCHABLE_PACE_H_PER_S
     with running_rig(rig, _overrides(hours, seed, pace)) as running:
-        return _run_on(
-            running,
-            (data_dir or new_folder("demo")).absolute(),
-            port=port,
-            web=not no_web,
-            stay=not exit_when_done and not no_web,
-            browser=not (no_browser or exit_when_done),
-            as_json=as_json,
-            started_s=started_s,
-        )
+        folder = (data_dir or new_folder("demo")).absolute()
+        settings = running.settings
+        prepare_data_folder(folder)
+        check_owner(settings, folder)
+        config = write_configuration(settings, folder)
+        log_to(folder / "logs" / "supervisor.log")
+        with stop_on_signals() as stop:
+            with ProgressReport(news_to_stderr=as_json) as progress:
+                progress.line(f"data: {folder}")
+                report_full_disk(folder, settings.storage, progress.line)
+                for note in running.notes:
+                    progress.line(note)
+                address_printer = _AddressPrinter(progress.line, open_page if browser else lambda url: False)
 
+                def on_message(child: str, message: Message) -> None:
+                    progress.hear(child, message)
+                    if message["event"] == "listening":
+                        address_printer.listening(message["url"])
+                    elif message["event"] == "progress":
+                        address_printer.recording()
+                    elif message["event"] == "stopped":
+                        progress.line(STOPPED)
+                    elif message["event"] == "finished" and stay:
+                        for line in summary_lines(summarise_run(settings, folder), folder):
+                            progress.line(line)
+                        progress.line("The test is done; the dashboard stays until Ctrl-C.")
 
-def _run_on(
-    running: DemoRig,
-    folder: Path,
-    *,
-    port: int,
-    web: bool,
-    stay: bool,
-    browser: bool,
-    as_json: bool,
-    started_s: float,
-) -> int:
-    """Run the demonstration on a rig and return the exit code."""
-    settings = running.settings
-    prepare_data_folder(folder)
-    check_owner(settings, folder)
-    config = write_configuration(settings, folder)
-    log_to(folder / "logs" / "supervisor.log")
-    with stop_on_signals() as stop:
-        with ProgressReport(news_to_stderr=as_json) as progress:
-            progress.line(f"data: {folder}")
-            report_full_disk(folder, settings.storage, progress.line)
-            for note in running.notes:
-                progress.line(note)
-            address_printer = _AddressPrinter(progress.line, open_page if browser else lambda url: False)
-
-            def on_message(child: str, message: Message) -> None:
-                progress.hear(child, message)
-                if message["event"] == "listening":
-                    address_printer.listening(message["url"])
-                elif message["event"] == "progress":
-                    address_printer.recording()
-                elif message["event"] == "stopped":
-                    progress.line(STOPPED)
-                elif message["event"] == "finished" and stay:
-                    for line in summary_lines(summarise_run(settings, folder), folder):
-                        progress.line(line)
-                    progress.line("The test is done; the dashboard stays until Ctrl-C.")
-
-            supervisor = Supervisor(
-                child_plans(config, folder, port=port, web=web, linger=stay, environment=running.environment),
-                folder,
-                on_message=on_message,
-                give_up=True,
-            )
-            code = supervisor.run(stop, stay=stay)
-        interrupted = stop.is_set()
-    if code != EXIT_OK:
-        return code
-    if interrupted:
-        print_line(f"interrupted; what was taken is in {folder}", err=as_json)
-        return EXIT_INTERRUPTED
-    summary = summarise_run(settings, folder)
-    elapsed_s = time.time() - started_s
-    cost = summary["cost"]
-    if isinstance(cost, dict):  # starting Python, opening the test, and this summary
-        cost["other_processes_s"] = round(elapsed_s - seconds_of(cost), 3)
-    result = {**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}
-    lines = [*summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
-    print_result(result, lines, as_json=as_json)
-    return EXIT_OK
+                supervisor = Supervisor(
+                    child_plans(
+                        config, folder, port=port, web=web, linger=stay, environment=running.environment
+                    ),
+                    folder,
+                    on_message=on_message,
+                    give_up=True,
+                )
+                code = supervisor.run(stop, stay=stay)
+            interrupted = stop.is_set()
+        if code != EXIT_OK:
+            return code
+        if interrupted:
+            print_line(f"interrupted; what was taken is in {folder}", err=as_json)
+            return EXIT_INTERRUPTED
+        summary = summarise_run(settings, folder)
+        elapsed_s = time.time() - started_s
+        cost = summary["cost"]
+        if isinstance(cost, dict):  # starting Python, opening the test, and this summary
+            cost["other_processes_s"] = round(elapsed_s - seconds_of(cost), 3)
+        result = {**summary, "elapsed_s": round(elapsed_s, 3), "data_dir": str(folder)}
+        lines = [*summary_lines(summary, folder), f"done in {elapsed_s:.1f} s"]
+        print_result(result, lines, as_json=as_json)
+        return EXIT_OK
 
 
 def _overrides(hours: float | None, seed: int | None, pace: float | None) -> dict[str, dict[str, object]]:

@@ -77,12 +77,10 @@ def main() -> None:
     """Run the command line; errors become one line and their exit code."""
     try:
         sys.exit(cli.main(standalone_mode=False))
-    except click.exceptions.Abort:
-        _end("interrupted", EXIT_INTERRUPTED)
     except click.ClickException as error:
         error.show()
         sys.exit(error.exit_code)
-    except KeyboardInterrupt:
+    except (click.exceptions.Abort, KeyboardInterrupt):
         _end("interrupted", EXIT_INTERRUPTED)
     except StorageUnavailableError as error:
         _end(f"{error}, then start again", error.exit_code)

@@ -4,45 +4,33 @@ from __future__ import annotations
 
 import json
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 import click
+from pydantic import TypeAdapter
 
 from daq_service.cli.sweep.shot import Specimen, coupled_numbers, coupled_shot, zener_numbers
 from daq_service.cli.sweep.specification import spaced
 from daq_service.errors import UsageError
 from daq_service.settings.file import load_settings
 from daq_service.settings.tree import PositionSettings, Settings
+from daq_service.shared_file import packaged_table
 from simulator.errors import SimulatorError
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
-Columns = tuple[tuple[str, str, str, str], ...]
 
-COUPLED_COLUMNS: Columns = (
-    ("depth_fraction", "depth", "", ".3f"),
-    ("isw_peak_n", "ISW", "N", ".2f"),
-    ("isw_time_us", "ISW at", "us", ".2f"),
-    ("psw_peak_n", "PSW", "N", ".2f"),
-    ("psw_time_us", "PSW at", "us", ".2f"),
-    ("tof_us", "ToF", "us", ".2f"),
-    ("amplitude_ratio", "AR", "", ".4f"),
-)
-COUPLED_NOTE = "noise-free sensor force, static preload kept; times from the striker's contact"
+@dataclass(frozen=True, slots=True)
+class _Table:
+    """Columns of a model's results, each a key, a title, a unit and a format, and a note below them."""
 
-ZENER_COLUMNS: Columns = (
-    ("depth_fraction", "depth", "", ".3f"),
-    ("inelasticity", "lambda", "", ".4f"),
-    ("restitution", "e", "", "#.4g"),
-    ("contact_time", "tau_c", "", ".4f"),
-    ("tof_us", "ToF", "us", ".2f"),
-    ("amplitude_ratio", "AR", "", "#.4g"),
-)
-ZENER_NOTE = "the paper's eqs 8, 9, 11 and 13; the whole plate as thin as the depth leaves it"
+    columns: tuple[tuple[str, str, str, str], ...]
+    note: str
 
-TABLES = {"coupled": (COUPLED_COLUMNS, COUPLED_NOTE), "zener": (ZENER_COLUMNS, ZENER_NOTE)}
+
+TABLES = TypeAdapter(dict[str, _Table]).validate_python(packaged_table(__file__))
 
 
 def print_simulation(
@@ -89,7 +77,7 @@ def print_simulation(
             position=position,
             **options,
         )
-        sweep(request, TABLES[model][0], as_json=as_json)
+        sweep(request, TABLES[model].columns, as_json=as_json)
         return
     if named := [name for name, value in options.items() if value]:
         raise UsageError(f"{_option(named[0])} belongs to a sweep: give --sweep KEY=VALUES, too")
@@ -115,7 +103,7 @@ def _print_shots(model: str, specimen: Specimen, grid: list[float], *, is_table:
     if as_json:
         click.echo(json.dumps({"shots": rows} if is_table else rows[0]))
     else:
-        _print_table(rows, *TABLES[model])
+        _print_table(rows, TABLES[model])
 
 
 def _specimen(
@@ -166,11 +154,11 @@ def _shot(
     return {**coupled_numbers(coupled_shot(chain, plate, patch)), **given, "tilt_rad": chain.tilt_rad}
 
 
-def _print_table(rows: list[dict[str, object]], columns: Columns, note: str) -> None:
+def _print_table(rows: list[dict[str, object]], table: _Table) -> None:
     """Print the table of shots."""
-    click.echo("  ".join(f"{title:>9}" for _, title, _, _ in columns))
-    click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>9}" for _, _, unit, _ in columns))
+    click.echo("  ".join(f"{title:>9}" for _, title, _, _ in table.columns))
+    click.echo("  ".join(f"{f'({unit})' if unit else '(1)':>9}" for _, _, unit, _ in table.columns))
     for row in rows:
-        cells = ("-" if row[key] is None else format(row[key], form) for key, _, _, form in columns)
+        cells = ("-" if row[key] is None else format(row[key], form) for key, _, _, form in table.columns)
         click.echo("  ".join(f"{cell:>9}" for cell in cells))
-    click.echo(note)
+    click.echo(table.note)

@@ -21,7 +21,10 @@ def read_waveforms(
     """Read the accepted waveforms of sets (`Experiment.waveforms`)."""
     shots: list[Json] = []
     for index in indices:
-        results, _ = _read_results(connection, position, method, index)
+        scope = {} if method == "pulse_echo" else {"scope": "shot"}
+        resource = "thickness" if method == "pulse_echo" else "features"
+        items, _ = connection.pages(resource, position=position, set_index=index, **scope)
+        results = {row["sequence"]: {name: row[name] for name in ("due_h", "quality")} for row in items}
         for shot in connection.get(f"sets/{position}/{index}/shots")["items"]:
             if shot["outcome"] == "accepted":
                 shots.append(
@@ -61,14 +64,3 @@ def read_waveforms(
             **{name: ("shot", np.array(values, dtype=object)) for name, values in texts.items()},
         },
     )
-
-
-def _read_results(
-    connection: Connection, position: str, method: str, index: int | str
-) -> tuple[dict[int, Json], Json]:
-    """Return hour and quality of each waveform of a set, by its sequence number."""
-    if method == "pulse_echo":
-        items, as_of = connection.pages("thickness", position=position, set_index=index)
-    else:
-        items, as_of = connection.pages("features", position=position, set_index=index, scope="shot")
-    return {item["sequence"]: {"due_h": item["due_h"], "quality": item["quality"]} for item in items}, as_of

@@ -14,10 +14,9 @@ import orjson
 from daq_service.cli.doctor.check import Check, check_of_finding, exit_code, failure
 from daq_service.cli.doctor.machine import machine_checks
 from daq_service.cli.doctor.software import software_checks
-from daq_service.cli.doctor.storage import held_folder, owner_of, storage_checks
+from daq_service.cli.doctor.storage import held_folder, owner_of, refuse_while_owned, storage_checks
 from daq_service.cli.doctor.trial import Trial, require_position, strike_transducer
 from daq_service.clock import WallClock
-from daq_service.errors import BusyError
 from daq_service.processes.data_folder import DRIVE_LOCK, data_folder, is_owned
 from daq_service.rig.open_rig import opening_of
 from daq_service.settings.file import load_settings
@@ -39,7 +38,7 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
         require_position(settings, strike)
     owner = owner_of(folder)
     if strike is not None:
-        _refuse_while_owned(owner)
+        refuse_while_owned("--strike", owner)
     checks = list(checkup(settings, folder, owner, _progress))
     trial: Trial | None = None
     if strike is not None and any(check.area == "software" and check.state == "fail" for check in checks):
@@ -50,22 +49,23 @@ def run_doctor(*, config: Path | None, data_dir: Path | None, strike: str | None
         strikes = "two test strikes" if settings.rig.kind == "daqmx" else "one test strike"
         _progress(f"{strikes} at {strike}")
         with held_folder(folder) as owner:
-            _refuse_while_owned(owner)
+            refuse_while_owned("--strike", owner)
             trial = strike_transducer(settings, strike)
         checks += trial.checks
     code = exit_code(checks)
     if as_json:
-        report = _report(settings.configuration_hash(), settings.rig.kind, folder, checks, trial, code)
+        report = {
+            "configuration_hash": settings.configuration_hash(),
+            "rig": settings.rig.kind,
+            "data_folder": str(folder),
+            "exit_code": code,
+            "checks": [asdict(check) for check in checks],
+            "strike": None if trial is None else trial.as_row(),
+        }
         click.echo(orjson.dumps(report, option=orjson.OPT_SERIALIZE_NUMPY))  # it writes NaN as null
     else:
         _print_table(checks, trial)
     return code
-
-
-def _refuse_while_owned(owner: str) -> None:
-    """Raise an error if a recorder owns the folder."""
-    if owner:
-        raise BusyError(f"--strike is refused: {owner}")
 
 
 def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) -> Iterator[Check]:
@@ -86,7 +86,9 @@ def checkup(settings: Settings, folder: Path, owner: str, progress: Progress) ->
     yield _recorder(owner)
     yield from storage_checks(settings, folder)
     if owner:
-        yield from _skipped_instruments(instruments)
+        remedy = "stop the recorder first, or read `solimon status`"
+        for name in (KNOWN_AS.get(item.name, item.name) for item in instruments):
+            yield _skipped(name, "not looked at: a recorder uses it", remedy)
     else:
         missing = {check.name for check in software if check.state == "fail"}
         yield from rig_checks(
@@ -147,14 +149,6 @@ def _recorder(owner: str) -> Check:
     return Check("recorder", name, "fail", problem, remedy)
 
 
-def _skipped_instruments(instruments: Sequence[Instrument]) -> Iterator[Check]:
-    """Yield skipped checks for the instruments of a running recorder, which needs them to strike."""
-    for item in instruments:
-        name = KNOWN_AS.get(item.name, item.name)
-        remedy = "stop the recorder first, or read `solimon status`"
-        yield _skipped(name, "not looked at: a recorder uses it", remedy)
-
-
 # What a person or a program reads --------------------------------------------------------------------
 
 
@@ -177,22 +171,3 @@ def _print_table(checks: list[Check], trial: Trial | None) -> None:
             click.echo(f"{'':<8} {name:<{width}}  {text}")
     counts = Counter(check.state for check in checks)
     click.echo(", ".join(f"{counts[state]} {state}" for state in ("fail", "warn", "ok", "skipped")))
-
-
-def _report(
-    configuration_hash: str,
-    rig_kind: str,
-    folder: Path,
-    checks: list[Check],
-    trial: Trial | None,
-    code: int,
-) -> dict[str, object]:
-    """Return the results for JSON."""
-    return {
-        "configuration_hash": configuration_hash,
-        "rig": rig_kind,
-        "data_folder": str(folder),
-        "exit_code": code,
-        "checks": [asdict(check) for check in checks],
-        "strike": None if trial is None else trial.as_row(),
-    }

@@ -38,7 +38,8 @@ def software_checks(
     installed
         Version of an installed package; raises PackageNotFoundError.
     """
-    oldest = _oldest_versions(requires("solimon") or ())
+    required = map(_MINIMUM.match, requires("solimon") or ())
+    oldest = {match[1]: match[2] for match in required if match}
     checks = [_python(), _package("solimon", "", installed)]
     names = dict.fromkeys((*ALWAYS, *needed))
     checks += [_package(name, oldest.get(name, ""), installed) for name in names]
@@ -84,12 +85,6 @@ def _binaries(load: Callable[[str], object]) -> Check:
     remedy = f"install again: python -m pip install --force-reinstall {' '.join(broken)}"
     found = failures or f"{', '.join(COMPILED)} load"
     return Check("software", "compiled packages", "fail" if broken else "ok", found, remedy)
-
-
-def _oldest_versions(requirements: Iterable[str]) -> dict[str, str]:
-    """Return the minimum versions of the requirements."""
-    found = (_MINIMUM.match(requirement) for requirement in requirements)
-    return {match[1]: match[2] for match in found if match}
 
 
 def _numbers(text: str) -> tuple[int, ...]:

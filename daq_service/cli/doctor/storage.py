@@ -70,6 +70,12 @@ def owner_of(folder: Path) -> str:
         return owner
 
 
+def refuse_while_owned(what: str, owner: str) -> None:
+    """Raise BusyError if a recorder owns the folder."""
+    if owner:
+        raise BusyError(f"{what} is refused: {owner}")
+
+
 def storage_checks(settings: Settings, folder: Path) -> list[Check]:
     """Check the folder; only a probe file is written and removed."""
     return [

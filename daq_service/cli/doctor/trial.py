@@ -6,9 +6,11 @@ import math
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field, replace
+from functools import partial
 from typing import Any
 
 import click
+from pydantic import TypeAdapter
 
 from analysis.waves.coil_spike import FITTING_LEVEL, SpikeSurvey
 from analysis.waves.features import ShotFeatures
@@ -20,6 +22,7 @@ from daq_service.errors import UsageError
 from daq_service.rig.open_rig import open_rig
 from daq_service.settings.rig import RigSettings
 from daq_service.settings.tree import Settings
+from daq_service.shared_file import packaged_table
 from hardware_drivers.daqmx.parameters import DaqmxParameters
 from hardware_drivers.errors import InstrumentError
 from hardware_drivers.measurement import DueSet, MissedShot, Shot, Waveform
@@ -27,19 +30,8 @@ from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.take_set import SetPlan, take_set
 from simulator.clock import SimulatedClock
 
-REMEDIES: Mapping[str, str] = {
-    "missed": "see whether the striker lifts and falls, then the sensor's cable and trigger_slope",
-    "false_trigger": "set holdoff_s as the look at the coil's spike proposes",
-    "lost_samples": "see why the transfer broke off: link, buffer, other programs that read the board",
-    "double": "let the striker come to rest on its stop: shorten pulse_s or damp the guide",
-    "clipped": "take a larger range_v, or lower the gain before the input",
-    "inverted": "swap the PZT's leads, or set trigger_slope to the other direction",
-    "no_psw": "see that the chain stands on the plate; a hole or a lifted chain reflects nothing",
-    "psw_merged": "see that the chain is upright and the plate supported as planned",
-    "baseline": "look for drift and hum before the wave: grounding, screen, charge amplifier",
-    "noisy": "look for noise: screen and grounding of the PZT's cable",
-    "not_analysed": "see the log; the record could not be analysed",
-}
+PRINT_REQUEST = partial(click.echo, err=True)
+REMEDIES = TypeAdapter(dict[str, str]).validate_python(packaged_table(__file__))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -70,15 +62,11 @@ class Trial:
         features = self.features
         return {
             "position": self.position,
-            "features": None if features is None else _without_outline(features),
+            "features": features
+            and {name: value for name, value in asdict(features).items() if name != "outline"},
             "settings": dict(self.settings),
             "spike": None if self.spike is None else asdict(self.spike),
         }
-
-
-def _without_outline(shot: ShotFeatures) -> dict[str, object]:
-    """Return the features without the outline of the record."""
-    return {name: value for name, value in asdict(shot).items() if name != "outline"}
 
 
 def require_position(settings: Settings, position: str) -> None:
@@ -105,13 +93,8 @@ def require_position(settings: Settings, position: str) -> None:
         )
 
 
-def _print_request(text: str) -> None:
-    """Print a request to the person at the rig."""
-    click.echo(text, err=True)
-
-
 def strike_transducer(
-    settings: Settings, position: str, *, report: Callable[[str], None] = _print_request
+    settings: Settings, position: str, *, report: Callable[[str], None] = PRINT_REQUEST
 ) -> Trial:
     """Strike one transducer, and first survey its coil on boards; an error gives a failed check.
 

@@ -7,7 +7,10 @@ import subprocess
 from collections.abc import Callable, Sequence
 from pathlib import Path, PureWindowsPath
 
+from pydantic import TypeAdapter
+
 from daq_service.cli.doctor.check import Check
+from daq_service.shared_file import packaged_table
 
 LONGEST_ANSWER_S = 10.0
 """Timeout for programs of the system."""
@@ -16,24 +19,12 @@ Ask = Callable[[Sequence[str]], str | None]
 """Runs a program of the system and returns what it printed; None where there is none or it failed."""
 
 SLEEP_UNITS = ("sleep.target", "suspend.target", "hibernate.target", "hybrid-sleep.target")
-IDLE_ACTION = (
-    "org.freedesktop.login1",
-    "/org/freedesktop/login1",
-    "org.freedesktop.login1.Manager",
-    "IdleAction",
-)
+IDLE_ACTION = "org.freedesktop.login1 /org/freedesktop/login1 org.freedesktop.login1.Manager IdleAction"
 UPGRADE, REBOOT = "APT::Periodic::Unattended-Upgrade", "Unattended-Upgrade::Automatic-Reboot"
 UPDATE_POLICY = r"HKLM\SOFTWARE\Policies\Microsoft\Windows\WindowsUpdate\AU"
 UPDATE_WAITS = r"HKLM\SOFTWARE\Microsoft\Windows\CurrentVersion\WindowsUpdate\Auto Update\RebootRequired"
 DEFENDER = "(Get-MpComputerStatus).RealTimeProtectionEnabled; (Get-MpPreference).ExclusionPath"
-SCANNERS = {
-    "clamonacc": "ClamAV",
-    "ds_agent": "Trend Micro",
-    "falcon-sensor": "CrowdStrike",
-    "mfetpd": "Trellix",
-    "savd": "Sophos",
-    "wdavdaemon": "Microsoft Defender",
-}
+SCANNERS = TypeAdapter(dict[str, str]).validate_python(packaged_table(__file__))
 """Programs of Linux that look into files as they are opened, by the name of their process."""
 
 
@@ -72,7 +63,8 @@ def _sleep(ask: Ask, system: str) -> Check:
     elif system == "linux":
         states = [ask(["systemctl", "is-enabled", unit]) for unit in SLEEP_UNITS]
         source, never = "systemctl", None if None in states else all(state == "masked" for state in states)
-        idle = (ask(["busctl", "get-property", *IDLE_ACTION]) or "").removeprefix("s ").strip('"') or None
+        action = ask(["busctl", "get-property", *IDLE_ACTION.split()]) or ""
+        idle = action.removeprefix("s ").strip('"') or None
         command = f"sudo systemctl mask {' '.join(SLEEP_UNITS)}"
     else:
         source, never, command = f"not asked on {system}", None, "caffeinate -s solimon run ..."

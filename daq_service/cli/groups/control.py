@@ -7,28 +7,20 @@ from importlib import import_module
 
 import click
 
-REASONS = {
-    "pause": (
-        "a pause needs a reason, which everybody sees: --reason 'hands in the rig'",
-        "Why is the test paused",
-    ),
-    "renew_baseline": (
-        "a baseline is retired for a reason, which stays with it: --reason 'sensor coupled again'",
-        "Why is the baseline retired",
-    ),
-}
-"""Error for a command without its reason, and the question at a terminal."""
-
 
 def send(*, kind: str, note: str, **given: object) -> int:
-    """Ask for a missing reason and send the command."""
-    if kind in REASONS and not note.strip():
-        message, question = REASONS[kind]
-        if not sys.stdin.isatty():
-            raise click.UsageError(message)
-        note = click.prompt(question, err=True)
+    """Send the command."""
     code: int = import_module("daq_service.commands.send").send_command(kind, note=note, **given)
     return code
+
+
+def send_with_reason(*, kind: str, note: str, question: str, without_reason: str, **given: object) -> int:
+    """Ask for a missing reason and send the command; without a terminal a missing one is an error."""
+    if not note.strip():
+        if not sys.stdin.isatty():
+            raise click.UsageError(without_reason)
+        note = click.prompt(question, err=True)
+    return send(kind=kind, note=note, **given)
 
 
 def switch_supply(

@@ -116,9 +116,9 @@ def run_export(
         raise UsageError(f"--{chosen[0]} needs --out FILE")
     if table is not None:
         from daq_service.cli.maintenance.export_table import export_table
-        from daq_service.web.tables.choice import check_choice
+        from daq_service.web.tables.choice import Choice
 
-        choice = check_choice(table, **given)
+        choice = Choice(table=table, **given)
         return _print_files(export_table(data_dir, choice, targets, overwrite=overwrite), as_json=as_json)
     if waveforms is not None:
         from daq_service.cli.maintenance.export_table import export_records

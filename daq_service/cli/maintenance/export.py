@@ -7,8 +7,6 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.metadata import version
 from pathlib import Path
-from types import NoneType
-from typing import Any, get_args
 
 import numpy as np
 
@@ -25,6 +23,7 @@ from daq_service.archive.consolidated import (
 )
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
+from daq_service.catalogue.published_columns import form_of
 from daq_service.catalogue.rows import (
     AssessmentRow,
     FeatureRow,
@@ -39,6 +38,7 @@ from daq_service.errors import StorageError, UsageError
 from daq_service.processes.data_folder import OWN_NAMES
 from daq_service.processes.lost_catalogue import lost_reason
 from daq_service.shared_file import write_output
+from daq_service.web.tables.formats import as_array
 from hardware_drivers.measurement import SetKey
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -251,23 +251,15 @@ def _results_of(kind: type[Row]) -> tuple[str, ...]:
 
 def _columns(rows: Sequence[Row | None], kind: type[Row], names: Sequence[str]) -> dict[str, Column]:
     """Return values by column; missing ones are NaN, -1, or an empty text."""
-    types = {column.name: column.type for column in columns_of(kind)}
-    return {
-        name: _column([None if row is None else getattr(row, name) for row in rows], types[name])
-        for name in names
-    }
-
-
-def _column(values: list[Any], of_type: Any) -> Column:
-    """Return a column as array or texts."""
-    nullable = NoneType in get_args(of_type)
-    plain = next(kind for kind in get_args(of_type) if kind is not NoneType) if nullable else of_type
-    if plain is float:
-        return np.array([math.nan if value is None else value for value in values], dtype=np.float64)
-    if plain in (int, bool):
-        numbers = [-1 if value is None else value for value in values]
-        return np.array(numbers, dtype=np.int64 if plain is int else np.int8)
-    return [" ".join(value) if isinstance(value, list) else value or "" for value in values]
+    forms = {column.name: form_of(column.type) for column in columns_of(kind)}
+    columns: dict[str, Column] = {}
+    for name in names:
+        values = [None if row is None else getattr(row, name) for row in rows]
+        if forms[name] in ("number", "integer", "truth"):
+            columns[name] = as_array(forms[name], values)
+        else:
+            columns[name] = [" ".join(value) if isinstance(value, list) else value or "" for value in values]
+    return columns
 
 
 def _joined(parts: Sequence[Column]) -> Column:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,13 +64,11 @@ def planned(folder: Path, report: Report, backup: Path | None) -> list[Step]:
         else Step(does="nothing", file=file, reason=finding.description)
         for file, finding in damaged.items()
     ]
-    return [*_left_over(folder), *sorted(steps, key=lambda step: step.file)]
-
-
-def _left_over(folder: Path) -> Iterator[Step]:
-    """Yield the steps for unfinished files."""
-    for path in sorted((folder / SETS_FOLDER).glob(f"*{TEMPORARY_SUFFIX}")):
-        yield Step(does="remove", file=f"{SETS_FOLDER}/{path.name}", reason="it was never finished")
+    left_over = [
+        Step(does="remove", file=f"{SETS_FOLDER}/{path.name}", reason="it was never finished")
+        for path in sorted((folder / SETS_FOLDER).glob(f"*{TEMPORARY_SUFFIX}"))
+    ]
+    return [*left_over, *sorted(steps, key=lambda step: step.file)]
 
 
 def _of_file(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypedDict
@@ -16,7 +16,7 @@ import click
 from analysis.statistics.design import Budget
 from analysis.statistics.named_limits import LIMITS
 from analysis.statistics.sequence import Assessed, assess
-from daq_service.cli.offline.csv_lines import NoTableError
+from daq_service.cli.offline.csv_lines import NoTableError, known
 from daq_service.cli.offline.fleet import Map, Read, assess_fleet, fleet_in_words
 from daq_service.cli.offline.table_file import LeftOut, read_table
 from daq_service.cli.sweep.progress import Progress
@@ -39,6 +39,10 @@ class AlarmAnswer(TypedDict):
     limit: float | None
 
 
+def _alarm_of_refused() -> AlarmAnswer:
+    return {"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None}
+
+
 class Anomaly(TypedDict):
     """Rows of the baseline that differ from the others."""
 
@@ -46,28 +50,36 @@ class Anomaly(TypedDict):
     rows: list[int]
 
 
-class Sensor(TypedDict, total=False):
+@dataclass(frozen=True, kw_only=True)
+class Sensor:
     """Result of a transducer in the JSON; values are None and lists empty where it is refused."""
 
     file: str
-    refused: str | None
-    features_dropped: list[str]
-    columns_assessed: list[str]
-    columns_left_out: list[LeftOut]
-    nothing_judged: str | None
-    n: int | None
-    n_eff: float | None
-    phi_pooled: float | None
-    tail: float | None
-    suspects: list[dict[str, int]]
-    named: list[Anomaly]
-    left_out: list[dict[str, object]]
-    limits: dict[str, float]
-    default_because: str
-    count: dict[str, int]
-    first: dict[str, int | None]
-    alarm: AlarmAnswer
-    rows: list[dict[str, float | None]]
+    refused: str | None = None
+    features_dropped: Sequence[str] = ()
+    columns_assessed: Sequence[str] = ()
+    columns_left_out: Sequence[LeftOut] = ()
+    nothing_judged: str | None = None
+    n: int | None = None
+    n_eff: float | None = None
+    phi_pooled: float | None = None
+    tail: float | None = None
+    suspects: Sequence[dict[str, int]] = ()
+    named: Sequence[Anomaly] = ()
+    left_out: Sequence[dict[str, object]] = ()
+    limits: Mapping[str, float] = field(default_factory=dict)
+    default_because: str | None = None
+    count: Mapping[str, int] = field(default_factory=dict)
+    first: Mapping[str, int | None] = field(default_factory=dict)
+    alarm: AlarmAnswer = field(default_factory=_alarm_of_refused)
+    rows: Sequence[dict[str, float | None]] | None = None
+
+    def as_json(self) -> dict[str, object]:
+        """Return the answer without what only an assessed table has, or only one whose rows were wanted."""
+        optional = ("default_because", "rows")
+        return {
+            name: value for name, value in vars(self).items() if name not in optional or value is not None
+        }
 
 
 def run_assess(
@@ -110,10 +122,13 @@ def run_assess(
         readable = {path: one for path, (one, error) in zip(tables, results, strict=True) if error is None}
         of_fleet = None
         if fleet and readable:
-            own_alarms = [one["alarm"]["rows"] for one in readable.values()]
+            own_alarms = [one.alarm["rows"] for one in readable.values()]
             of_fleet = assess_fleet([*readable], read, mapped, design, false_discovery_rate, own_alarms)
     if as_json:
-        answer = {"sensors": [one for one, _ in results], **({"fleet": of_fleet} if of_fleet else {})}
+        answer = {
+            "sensors": [one.as_json() for one, _ in results],
+            **({"fleet": of_fleet} if of_fleet else {}),
+        }
         click.echo(json.dumps(answer, allow_nan=False))
     else:
         for one, _ in results:
@@ -149,7 +164,7 @@ def answered(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> tupl
     try:
         return sensor(path, read=read, budget=budget, with_rows=with_rows), None
     except UsageError as error:
-        return _refused(Sensor(file=str(path), refused=str(error)), with_rows=with_rows), error
+        return Sensor(file=str(path), refused=str(error), rows=() if with_rows else None), error
 
 
 def sensor(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> Sensor:
@@ -159,61 +174,39 @@ def sensor(path: Path, *, read: Read, budget: Budget, with_rows: bool) -> Sensor
     answer = Sensor(
         file=str(path),
         refused=assessed.refused,
-        features_dropped=list(assessed.features_dropped),
-        columns_assessed=list(table.names),
-        columns_left_out=list(table.left_out),
+        features_dropped=assessed.features_dropped,
+        columns_assessed=table.names,
+        columns_left_out=table.left_out,
+        rows=() if with_rows else None,
     )
     if assessed.refused is not None:
-        return _refused(answer, with_rows=with_rows)
+        return answer
     not_assessed, rows = None, len(table.vectors)
     if table.in_baseline[-1]:
         not_assessed = f"the last of {rows} rows is baseline: nothing is judged; give a smaller baseline"
         click.echo(f"{path}: {not_assessed}", err=True)
-    answer |= {
-        "nothing_judged": not_assessed,
-        "n": assessed.n,
-        "n_eff": assessed.n_eff,
-        "phi_pooled": assessed.phi_pooled,
-        "tail": assessed.tail,
-        "suspects": [{"row": row} for row in assessed.suspects],
-        "named": [{"kind": anomaly.kind, "rows": list(anomaly.rows)} for anomaly in assessed.named],
-        "left_out": [{"row": row, "reason": reason} for row, reason in assessed.left_out],
-        "limits": dict(assessed.limits),
-        "default_because": assessed.default_reason,
-        "count": dict(assessed.count),
-        "first": dict(assessed.first),
-        "alarm": {
+    return replace(
+        answer,
+        nothing_judged=not_assessed,
+        n=assessed.n,
+        n_eff=assessed.n_eff,
+        phi_pooled=assessed.phi_pooled,
+        tail=assessed.tail,
+        suspects=[{"row": row} for row in assessed.suspects],
+        named=[{"kind": anomaly.kind, "rows": list(anomaly.rows)} for anomaly in assessed.named],
+        left_out=[{"row": row, "reason": reason} for row, reason in assessed.left_out],
+        limits=dict(assessed.limits),
+        default_because=assessed.default_reason,
+        count=dict(assessed.count),
+        first=dict(assessed.first),
+        alarm={
             "rows": list(assessed.onsets),
             "rate_guaranteed": not assessed.rate_not_verified_reason,
             "why": assessed.rate_not_verified_reason,
             "limit": assessed.chart_limit,
         },
-    }
-    return answer | {"rows": _rows(assessed)} if with_rows else answer
-
-
-def _refused(answer: Sensor, *, with_rows: bool) -> Sensor:
-    """Return the answer with empty results for what it lacks."""
-    empty = Sensor(
-        file="",
-        refused=None,
-        features_dropped=[],
-        columns_assessed=[],
-        columns_left_out=[],
-        nothing_judged=None,
-        n=None,
-        n_eff=None,
-        phi_pooled=None,
-        tail=None,
-        suspects=[],
-        named=[],
-        left_out=[],
-        limits={},
-        count={},
-        first={},
-        alarm={"rows": [], "rate_guaranteed": False, "why": "refused", "limit": None},
+        rows=_rows(assessed) if with_rows else None,
     )
-    return empty | answer | ({"rows": []} if with_rows else {})
 
 
 def _rows(assessed: Assessed) -> list[dict[str, float | None]]:
@@ -225,42 +218,37 @@ def _rows(assessed: Assessed) -> list[dict[str, float | None]]:
         "chart": assessed.chart,
     }
     return [
-        {"row": row, **{name: _finite_or_none(float(column[row])) for name, column in columns.items()}}
+        {"row": row, **{name: known(float(column[row])) for name, column in columns.items()}}
         for row in range(len(assessed.chart))
     ]
 
 
-def _finite_or_none(value: float) -> float | None:
-    """Return a finite value; None otherwise."""
-    return value if math.isfinite(value) else None
-
-
 def in_words(answer: Sensor, budget: float, sets_per_day: float) -> str:
     """Return the lines about a transducer."""
-    if answer["refused"] is not None:
-        return f"{answer['file']}: refused: {answer['refused']}"
-    alarm, lines = answer["alarm"], [answer["file"]]
-    lines.append(f"  columns    {', '.join(answer['columns_assessed'])}")
-    for item in answer["columns_left_out"]:
+    if answer.refused is not None:
+        return f"{answer.file}: refused: {answer.refused}"
+    alarm, lines = answer.alarm, [answer.file]
+    lines.append(f"  columns    {', '.join(answer.columns_assessed)}")
+    for item in answer.columns_left_out:
         lines.append(
             f"  left out   {item['name']!r}: {item['reason']} ({item['cell']!r} in row {item['row']})"
         )
     lines.append(
-        f"  baseline   {answer['n']} sets, worth {answer['n_eff']:.0f} independent ones"
-        f" (memory {answer['phi_pooled']:.2f}), tails {answer['tail']:.2f} x normal"
+        f"  baseline   {answer.n} sets, worth {answer.n_eff:.0f} independent ones"
+        f" (memory {answer.phi_pooled:.2f}), tails {answer.tail:.2f} x normal"
     )
-    if answer["features_dropped"]:
-        lines.append(f"  dropped    {', '.join(answer['features_dropped'])}: constant in the baseline")
-    for anomaly in answer["named"]:
+    if answer.features_dropped:
+        lines.append(f"  dropped    {', '.join(answer.features_dropped)}: constant in the baseline")
+    for anomaly in answer.named:
         rows, kind = anomaly["rows"], anomaly["kind"]
         row_text = f"{rows[0]} to {rows[-1]}" if kind == "trend" else ", ".join(map(str, rows))
         lines.append(f"  look at    {kind}, rows {row_text}")
-    for name, limit in answer["limits"].items():
-        first = answer["first"][name]
+    for name, limit in answer.limits.items():
+        first = answer.first[name]
         since = "" if first is None else f", first row {first}"
         caveat = f"; {LIMITS[name].caveat}" if LIMITS[name].caveat else ""
-        lines.append(f"  {name:<15} limit {limit:9.2f}  beyond {answer['count'][name]}{since}{caveat}")
-    lines.append(f"  default    {answer['default_because']}")
+        lines.append(f"  {name:<15} limit {limit:9.2f}  beyond {answer.count[name]}{since}{caveat}")
+    lines.append(f"  default    {answer.default_because}")
     promise = f"{budget:g} false alarms a year at {sets_per_day:g} sets a day"
     rate_text = promise if alarm["rate_guaranteed"] else f"{promise} not promised: {alarm['why']}"
     raised = ", ".join(map(str, alarm["rows"][:10])) + (" ..." if len(alarm["rows"]) > 10 else "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from itertools import takewhile
 from pathlib import Path
@@ -46,6 +47,11 @@ def csv_lines(path: Path) -> tuple[list[str], list[str]]:
     lines = [line for line in text.splitlines() if not NO_LINE.fullmatch(line)]
     comments = list(takewhile(is_comment, lines))
     return comments, lines[len(comments) :]
+
+
+def known(value: float) -> float | None:
+    """Return a number for JSON, which has no NaN and no infinity."""
+    return value if math.isfinite(value) else None
 
 
 def is_comment(line: str) -> bool:

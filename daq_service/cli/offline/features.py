@@ -24,6 +24,7 @@ from analysis.waves.pulses import first_fwhm_s
 from analysis.waves.quality_gate import DISTURBED
 from analysis.waves.record_reduction import FEWEST_BLOCKS, ExtractionSettings
 from analysis.waves.template import Template, compare_with_others, learn_template
+from daq_service.cli.offline.csv_lines import known
 from daq_service.cli.offline.record_file import FileParameters, Record, RecordFile, open_records
 from daq_service.cli.sweep.progress import Progress
 from daq_service.cli.terminal import console_on
@@ -238,14 +239,9 @@ def _as_object(shot: ShotFeatures) -> dict[str, object]:
     return {
         "flags": list(shot.flags),
         "quality": shot.quality,
-        **{name: _known(value) for name, value in shot.values().items()},
-        "sd": {name: _known(shot.sd.get(name, math.nan)) for name in ALL_FEATURE_NAMES},
+        **{name: known(value) for name, value in shot.values().items()},
+        "sd": {name: known(shot.sd.get(name, math.nan)) for name in ALL_FEATURE_NAMES},
     }
-
-
-def _known(value: float) -> float | None:
-    """Return a finite value; None otherwise."""
-    return value if math.isfinite(value) else None
 
 
 def _show(path: Path, shots: Sequence[ShotFeatures]) -> None:

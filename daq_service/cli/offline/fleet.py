@@ -17,7 +17,6 @@ from analysis.statistics.design import Budget
 from analysis.statistics.fleet import (
     FEWEST_SENSORS,
     SHARED_SD,
-    SharedChange,
     find_shared_changes,
     mean_squared_correlation,
     raised_at,
@@ -179,7 +178,7 @@ def assess_fleet(
             )
     n_rows, after = max(len(table.in_sd) for table in first), max(map(_after, first))
     shared = shared_deviation(_stacked([table.in_sd for table in first], n_rows))
-    baselines = [_alone(table, shared) for table in first]
+    baselines = [(table.in_sd - shared[: len(table.in_sd)])[table.in_baseline] for table in first]
     usual = Usual(phi=typical_autocorrelation(baselines), tails=typical_tails(baselines))
     period = max(1, *(len(table.in_sd) - _after(table) for table in first))
     assess_table = partial(
@@ -187,7 +186,10 @@ def assess_fleet(
     )
     results: list[IndividualResult] = list(mapped(assess_table, paths))
     assessed = [k for k, sensor in enumerate(results) if sensor.refused is None]
-    rows = raised_at(_held([results[k].chances for k in assessed], n_rows), rate) if assessed else []
+    held = [
+        np.pad(one, (0, n_rows - len(one)), mode="edge") for one in (results[k].chances for k in assessed)
+    ]
+    rows = raised_at(np.stack(held), rate) if held else []
     raised = {k: row for k, row in zip(assessed, rows, strict=True) if row is not None}
     causes = find_shared_changes(shared, len(paths), float(usual.phi.max()), after)
     errors = mean_squared_correlation(baselines)
@@ -196,7 +198,12 @@ def assess_fleet(
     kept_sd = residual_shift(gains, causes, phi=float(usual.phi.max()), n=max(1, n), tails=usual.tails)
     why = _why_not([results[k].why_not for k in assessed], len(paths), kept_sd)
     kept_back = [k for k in assessed if own_alarms[k] and k not in raised]
-    explained = [k for k in kept_back if not results[k].alarms and _within(own_alarms[k], causes)]
+    explained = [
+        k
+        for k in kept_back
+        if not results[k].alarms
+        and any(cause.first_row <= row <= cause.last_row for row in own_alarms[k] for cause in causes)
+    ]
     return {
         "sensors": len(paths),
         "judged": len(assessed),
@@ -210,7 +217,14 @@ def assess_fleet(
         ],
         "explained": [str(paths[k]) for k in explained],
         "kept_back": len(kept_back) - len(explained),
-        "shared": [_shared_as_object(cause, names) for cause in causes],
+        "shared": [
+            {
+                "first_row": cause.first_row,
+                "last_row": cause.last_row,
+                "largest_sd": dict(zip(names, cause.largest_sd, strict=True)),
+            }
+            for cause in causes
+        ],
     }
 
 
@@ -236,36 +250,12 @@ def _why_not(of_sensors: Sequence[str], sensors: int, kept_sd: float) -> str:
     return ""
 
 
-def _alone(table: Deviations, shared: FloatArray) -> FloatArray:
-    """Return the baseline of a transducer without the shared deviation."""
-    return np.asarray((table.in_sd - shared[: len(table.in_sd)])[table.in_baseline])
-
-
-def _within(rows: Sequence[int], causes: Sequence[SharedChange]) -> bool:
-    """Return whether a row is within a shared deviation."""
-    return any(cause.first_row <= row <= cause.last_row for row in rows for cause in causes)
-
-
 def _stacked(parts: Sequence[np.ndarray], n_rows: int) -> np.ndarray:
     """Stack tables to one array; missing rows are NaN."""
     stacked = np.full((len(parts), n_rows, parts[0].shape[1]), np.nan, dtype=np.float32)
     for k, part in enumerate(parts):
         stacked[k, : len(part)] = part
     return stacked
-
-
-def _held(chances: Sequence[FloatArray], n_rows: int) -> FloatArray:
-    """Stack chances; a table that ends earlier keeps its last value."""
-    return np.stack([np.pad(one, (0, n_rows - len(one)), mode="edge") for one in chances])
-
-
-def _shared_as_object(cause: SharedChange, names: Sequence[str]) -> SharedAnswer:
-    """Return a shared deviation for JSON."""
-    return {
-        "first_row": cause.first_row,
-        "last_row": cause.last_row,
-        "largest_sd": dict(zip(names, cause.largest_sd, strict=True)),
-    }
 
 
 def fleet_in_words(answer: Fleet) -> str:

@@ -27,7 +27,6 @@ from simulator.zener.model import (
     reflect,
     solve_impact,
 )
-from simulator.zener.table_2 import Table2Row, table_2
 
 FloatArray = NDArray[np.float64]
 
@@ -116,11 +115,6 @@ def impact_over_inelasticity(inelasticities: tuple[float, ...]) -> dict[str, lis
         columns["tau_c_eq8"].append(exact.contact_time)
         columns["tau_c_eq12"].append(approximate_contact_time(inelasticity))
     return columns
-
-
-def zeners_table() -> tuple[Table2Row, ...]:
-    """Compute the paper's Table 2."""
-    return table_2()
 
 
 def forces_along_the_chain(plate: PlateParameters) -> list[ForceTrace]:

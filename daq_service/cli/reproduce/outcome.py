@@ -129,7 +129,7 @@ def finish(run: Outcome, names: Sequence[str], *, interrupted: bool) -> dict[str
         },
         "missing": missing,
         "tally": counts,
-        "comparison": [_row_dict(row) for row in run.rows],
+        "comparison": [{**asdict(row), "deviation_shown": row.deviation_shown} for row in run.rows],
         "slips": run.slips,
     }
     seed = "none: no twin behind it" if run.facts["seed"] is None else str(run.facts["seed"])
@@ -173,11 +173,6 @@ def _tally_text(counts: Mapping[str, int]) -> str:
         f"{counts['values']}: {counts['agree']} agree to rounding, {counts['deviate']} deviate, "
         f"{counts['words']} are words in the paper, {counts['not_available']} are not available here"
     )
-
-
-def _row_dict(row: Row) -> dict[str, object]:
-    """Return a row for JSON, with the deviation as it is shown."""
-    return {**asdict(row), "deviation_shown": row.deviation_shown}
 
 
 def print_result(result: Mapping[str, Any]) -> None:

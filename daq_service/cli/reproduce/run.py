@@ -209,7 +209,7 @@ def _written(
     run: Outcome, item: Item, product: Product, pictures: Mapping[str, bytes], *, origin: str
 ) -> Section:
     """Write the files of an item and return its section."""
-    stem = _stem(item.name)
+    stem = f"fig{int(item.name[3:]):02d}" if item.name.startswith("fig") else item.name
     contents = {f"{stem}.{ending}": content for ending, content in pictures.items()}
     for ending, table in product.tables.items():
         contents[f"{stem}_{ending}.csv" if ending else f"{stem}.csv"] = csv_bytes(table)
@@ -235,8 +235,3 @@ def _origin(test: Evidence | None) -> str:
     alarms = {**test.settings.alarms.model_dump(mode="json"), **BY_SETS["alarms"]}
     stored = {**test.settings.model_dump(mode="json"), "alarms": alarms}
     return "twin" if differences(stored, twin_settings(test.seed)) else "shipped"
-
-
-def _stem(name: str) -> str:
-    """Return the file name of an item: figures sort by number."""
-    return f"fig{int(name[3:]):02d}" if name.startswith("fig") else name

@@ -14,6 +14,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from daq_service.shared_file import packaged_table
 from daq_service.web.report.figures import RULES as REPORT_RULES
 
 # Okabe and Ito (2008), Color Universal Design; yellow is left out, it vanishes on paper.
@@ -26,17 +27,7 @@ OF_POSITION = {"A": ORANGE, "B": BLUE, "C": VERMILLION, "D": GREEN}
 WIDTH_IN = 7.2
 DPI = 150
 
-RULES: Any = {
-    **REPORT_RULES,
-    "font.family": "DejaVu Sans",
-    "axes.labelsize": 8.5,
-    "legend.frameon": True,
-    "legend.framealpha": 0.85,
-    "legend.edgecolor": "none",
-    "lines.linewidth": 1.3,
-    "svg.fonttype": "path",
-    "path.simplify": True,
-}
+RULES: Any = {**REPORT_RULES, **packaged_table(__file__)}
 PAPER_LINE: Mapping[str, Any] = {"color": BLACK, "linestyle": (0, (5, 3)), "linewidth": 1.0}
 PAPER_MARK: Mapping[str, Any] = {
     "color": BLACK,

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import fields
 
-from daq_service.cli.reproduce import models
 from daq_service.cli.reproduce.item import Found, Item, Job, Material, Product, Table, found, missing
 from daq_service.cli.reproduce.paper_values import values_of
-from simulator.zener.table_2 import Table2Row
+from simulator.zener.table_2 import Table2Row, table_2
 
 
 def make_table1(material: Material) -> Product:
@@ -58,4 +57,4 @@ def make_table2(material: Material) -> Product:
 
 
 TABLE1 = Item(name="table1", make=make_table1, needs_test=True)
-TABLE2 = Item(name="table2", make=make_table2, jobs={"rows": Job(function=models.zeners_table)})
+TABLE2 = Item(name="table2", make=make_table2, jobs={"rows": Job(function=table_2)})

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 from pydantic import TypeAdapter
+
+from daq_service.shared_file import packaged_table
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,12 +28,32 @@ class Cause:
 
 @dataclass(frozen=True, slots=True)
 class Slip:
-    """One slip: the printed text, the correct one, and the name of the function of our finding."""
+    """One slip: the printed text, the correct one, our finding and the function of its numbers."""
 
     where: str
     prints: str
     right: str
-    finding: str = "nothing"
+    finding: str = ""
+    sentence: str = "nothing to compute"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Trended:
+    """A feature over the test and the figure that shows it.
+
+    Attributes
+    ----------
+    scale
+        Factor to the axis's unit.
+    quantities
+        Names of the paper's values of the fit's start, end and change, without the position.
+    """
+
+    item: str
+    column: str
+    scale: float
+    label: str
+    quantities: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +63,7 @@ class Texts:
     captions: Mapping[str, Caption]
     causes: Sequence[Cause]
     slips: Sequence[Slip]
+    trends: Sequence[Trended]
 
 
-TEXTS = TypeAdapter(Texts).validate_python(
-    tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-)
+TEXTS = TypeAdapter(Texts).validate_python(packaged_table(__file__))

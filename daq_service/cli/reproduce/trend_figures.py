@@ -15,28 +15,10 @@ from daq_service.cli.reproduce import item
 from daq_service.cli.reproduce.evidence import FloatArray, Series
 from daq_service.cli.reproduce.paper_values import values_of
 from daq_service.cli.reproduce.style import BLACK, PAPER_MARK, colour_of, legend_below, panels_of_positions
+from daq_service.cli.reproduce.texts import TEXTS, Trended
 
 POSITIONS = "BCD"
 """Of the paper's fits."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _Feature:
-    """A feature over the test.
-
-    Attributes
-    ----------
-    scale
-        Factor to the axis's unit.
-    quantities
-        Names of the paper's values of the fit's start, end and change, without the position.
-    """
-
-    item: str
-    column: str
-    scale: float
-    label: str
-    quantities: Mapping[str, str]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -56,30 +38,8 @@ class _Fit:
 _Fits = Mapping[str, _Fit | str]
 """Fit of each position, or why there is none."""
 
-_TIME_OF_FLIGHT = _Feature(
-    item="fig8",
-    column="tof_pp_s",
-    scale=1e6,
-    label="time of flight, peak to peak (µs)",
-    quantities={"start": "tof_start", "change": "tof_rise"},
-)
-_AMPLITUDE_RATIO = _Feature(
-    item="fig9",
-    column="amplitude_ratio",
-    scale=1.0,
-    label="amplitude ratio PSW / ISW (1)",
-    quantities={"start": "ar_start", "end": "ar_end", "change": "ar_fall"},
-)
-_ISW_AMPLITUDE = _Feature(
-    item="fig11",
-    column="isw_amplitude_v",
-    scale=1.0,
-    label="amplitude of the ISW (V)",
-    quantities={"change": "isw_trend"},
-)
 
-
-def draw_feature(material: item.Material, feature: _Feature) -> item.Product:
+def draw_feature(material: item.Material, feature: Trended) -> item.Product:
     """Draw a feature of all transducers with fits and the paper's values."""
     test, names = material.test, material.transducers
     fits = {name: _fit(test.pulses[name], feature) for name in names}
@@ -105,7 +65,7 @@ def draw_feature(material: item.Material, feature: _Feature) -> item.Product:
     )
 
 
-def _fit(pulses: Series, feature: _Feature) -> _Fit | str:
+def _fit(pulses: Series, feature: Trended) -> _Fit | str:
     """Fit the sets of a position, or return why there is no fit."""
     values = feature.scale * pulses.values[feature.column]
     try:
@@ -115,7 +75,7 @@ def _fit(pulses: Series, feature: _Feature) -> _Fit | str:
     return _Fit(trend=trend, last_h=float(pulses.hour_h[np.isfinite(values)][-1]))
 
 
-def _panel(axis: Axes, pulses: Series, feature: _Feature, fit: _Fit | str, colour: str) -> None:
+def _panel(axis: Axes, pulses: Series, feature: Trended, fit: _Fit | str, colour: str) -> None:
     """Draw a feature of one transducer."""
     values, label = feature.scale * pulses.values[feature.column], "sets, mean of the valid strikes"
     axis.plot(pulses.hour_h, values, ".", color=colour, alpha=0.45, ms=2.5, label=label)
@@ -164,5 +124,5 @@ def _found(fits: _Fits, position: str, what: str) -> item.Found:
 
 FIG8, FIG9, FIG11 = (
     item.Item(name=feature.item, make=partial(draw_feature, feature=feature), needs_test=True)
-    for feature in (_TIME_OF_FLIGHT, _AMPLITUDE_RATIO, _ISW_AMPLITUDE)
+    for feature in TEXTS.trends
 )

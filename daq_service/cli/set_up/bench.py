@@ -15,9 +15,8 @@ from analysis.errors import AnalysisError
 from analysis.waves.coil_spike import HOLDOFF_DIGITS, HOLDOFF_PART
 from analysis.waves.features import extract_features
 from analysis.waves.first_settings import Proposal, StruckTransducer, propose_settings, shot_within
-from daq_service.cli.doctor.storage import held_folder
+from daq_service.cli.doctor.storage import held_folder, refuse_while_owned
 from daq_service.cli.set_up.drawn import envelope, shot_drawn
-from daq_service.errors import BusyError
 from hardware_drivers.daqmx.parameters import DaqmxParameters, TransducerWiring, fall_s
 from hardware_drivers.errors import ConfigurationError
 from hardware_drivers.measurement import Waveform
@@ -126,8 +125,7 @@ class Bench:
             The coil's counter cannot start the acquisition: neither a holdoff nor this look is possible.
         """
         with held_folder(self.data_folder) as owner:
-            if owner:
-                raise BusyError(f"a strike is refused: {owner}")
+            refuse_while_owned("a strike", owner)
             try:
                 self.struck[position] = self._on_boards(position, lambda free: free.strike())
             except ConfigurationError:

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass, replace
 
 from daq_service.cli.doctor.spike import edge_in_words
 from daq_service.cli.set_up.bench import Bench, rms_v
-from daq_service.cli.set_up.dialogue import Dialogue, Question
+from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.init import head_of, laboratory
 from daq_service.cli.set_up.transducers import Contents, Flags, positions_table
 from daq_service.cli.set_up.values import REMEDIES, assess_strikes
@@ -39,8 +39,8 @@ class Boards:
         ):
             value = getattr(flags, name)
             if asks and not value:
-                question = Question(name=name, text=text, default=f"{getattr(self.bench, name):g}")
-                value = self.dialogue.ask(question, _number_within(*bounds))
+                usual = f"{getattr(self.bench, name):g}"
+                value = self.dialogue.ask(name, text, _number_within(*bounds), default=usual)
             if value:
                 setattr(self.bench, name, value)
 
@@ -73,12 +73,9 @@ class Boards:
             ]
             counter = self._choice(f"{position}.counter", f"Counter of the coil of {position}", counters)
             coil_board = boards[counter.rpartition("/")[0] or serial]
-            question = Question(
-                name=f"{position}.terminal",
-                text="Terminal at which its pulse leaves the board",
-                default=home_terminal(coil_board, counter.rpartition("/")[2]),
-            )
-            terminal = self.dialogue.ask(question, str)
+            home = home_terminal(coil_board, counter.rpartition("/")[2])
+            text = "Terminal at which its pulse leaves the board"
+            terminal = self.dialogue.ask(f"{position}.terminal", text, str, default=home)
             try:
                 self.wire(position, f"{serial}/{channel}/{counter}/{terminal}")
             except (ValueError, InstrumentError) as error:
@@ -150,7 +147,7 @@ class Boards:
         """Ask for one of the choices."""
         if not choices:
             raise UsageError(f"{text}: nothing is left to choose; add a board, or end with fewer positions")
-        return self.dialogue.ask(Question(name=name, text=text, default=choices[0], choices=choices), str)
+        return self.dialogue.ask(name, text, str, default=choices[0], choices=choices)
 
 
 def _number_within(low: float, high: float) -> Callable[[str], float]:

@@ -73,7 +73,15 @@ class Dialogue:
         click.echo(text, err=True)
         self.lines = [*self.lines, text][-KEPT_LINES:]
 
-    def ask(self, question: Question, parse: Callable[[str], T]) -> T:
+    def ask(
+        self,
+        name: str,
+        text: str,
+        parse: Callable[[str], T],
+        *,
+        default: str = "",
+        choices: Sequence[str] = (),
+    ) -> T:
         """Ask until an answer is valid.
 
         Parameters
@@ -86,24 +94,24 @@ class Dialogue:
         UsageError
             The terminal's answers have ended.
         """
+        question = Question(name=name, text=text, default=default, choices=choices)
+        listed, usual = f" ({', '.join(choices)})" if choices else "", f" [{default}]" if default else ""
         try:
             while True:
                 with self._lock:
                     self.number += 1
                     self._waiting = question
                 self._read_terminal()
-                choices = f" ({', '.join(question.choices)})" if question.choices else ""
-                default = f" [{question.default}]" if question.default else ""
-                click.echo(f"{question.text}{choices}{default}: ", nl=False, err=True)
-                text = self._next(question) or question.default
+                click.echo(f"{text}{listed}{usual}: ", nl=False, err=True)
+                answer = self._next(question) or default
                 try:
-                    if question.choices and text not in question.choices:
-                        raise ValueError(f"{text!r} is none of {', '.join(question.choices)}")
-                    value = parse(text)
+                    if choices and answer not in choices:
+                        raise ValueError(f"{answer!r} is none of {', '.join(choices)}")
+                    value = parse(answer)
                 except ValueError as error:
                     self.report(f"  {error}")
                     continue
-                self.lines = [*self.lines, f"{question.text}: {text}"]
+                self.lines = [*self.lines, f"{text}: {answer}"]
                 return value
         finally:
             with self._lock:
@@ -111,8 +119,7 @@ class Dialogue:
 
     def yes(self, name: str, text: str, *, default: str) -> bool:
         """Ask for yes or no."""
-        question = Question(name=name, text=text, default=default, choices=("yes", "no"))
-        return self.ask(question, lambda answer: answer == "yes")
+        return self.ask(name, text, lambda answer: answer == "yes", default=default, choices=("yes", "no"))
 
     def answer(self, number: int, text: str) -> bool:
         """Accept the page's answer; False if another question is waiting."""

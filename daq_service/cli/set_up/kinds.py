@@ -13,13 +13,13 @@ from tomlkit.exceptions import TOMLKitError
 
 from daq_service.cli.doctor.check import Check
 from daq_service.cli.doctor.command import rig_checks
-from daq_service.cli.doctor.storage import held_folder
+from daq_service.cli.doctor.storage import held_folder, refuse_while_owned
 from daq_service.cli.doctor.trial import Trial, strike_transducer
-from daq_service.cli.set_up.dialogue import Dialogue, Question
+from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.drawn import shot_drawn
 from daq_service.cli.set_up.init import head_of, laboratory, settings_of
 from daq_service.cli.set_up.transducers import Contents, Flags, positions_table
-from daq_service.errors import BusyError, RigError, UsageError
+from daq_service.errors import RigError, UsageError
 from daq_service.settings.instruments import configured, plain
 from daq_service.settings.tables import KeyPath, Tables
 from daq_service.settings.tree import Settings
@@ -206,8 +206,7 @@ class Kinds:
             A recorder owns the data folder.
         """
         with held_folder(self.data_folder) as owner:
-            if owner:
-                raise BusyError(f"a strike is refused: {owner}")
+            refuse_while_owned("a strike", owner)
             trial = strike_transducer(self.settings(), position, report=self.dialogue.report)
         self.position, self.trials[position] = position, trial
         self.strikes += 1
@@ -220,10 +219,8 @@ class Kinds:
         if len(able) == 1:
             self.dialogue.report(f"{position}      {role}: {able[0]}")
             return able[0]
-        question = Question(
-            name=f"{position}.{role}", text=f"The {role} of {position}", default=able[0], choices=able
-        )
-        return self.dialogue.ask(question, str)
+        text = f"The {role} of {position}"
+        return self.dialogue.ask(f"{position}.{role}", text, str, default=able[0], choices=able)
 
     def _ask_parameters(self) -> None:
         """Ask for parameters until they are valid and no change is requested."""
@@ -242,9 +239,7 @@ class Kinds:
                 self.dialogue.report(str(error))
                 good = False
             text = "A parameter to change, INSTRUMENT.KEY=VALUE" + (", - to go on" if good else "")
-            ends = self.dialogue.ask(
-                Question(name="parameter", text=text, default="-" if good else ""), parse
-            )
+            ends = self.dialogue.ask("parameter", text, parse, default="-" if good else "")
 
     def _propose_level(self, position: str, trial: Trial) -> None:
         """Propose a tenth of the incident wave as trigger level, if the digitizer has this parameter."""

@@ -9,7 +9,7 @@ from dataclasses import asdict
 from typing import TypeVar
 
 from daq_service.cli.doctor.check import stamp_now
-from daq_service.cli.set_up.dialogue import Dialogue, Question
+from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.init import laboratory
 from daq_service.settings.tables import KeyPath, Tables
 from hardware_drivers.errors import InstrumentError
@@ -39,9 +39,8 @@ def ask_for_others(
     tables: Tables = {}
     known = _probes(probes or {})
     if asks and probes is not None:
-        known |= _ask_for_address(
-            dialogue, "probe", "NI-SCOPE board of an ultrasonic probe at A, as NI MAX names it", _probes_at_a
-        )
+        text = "NI-SCOPE board of an ultrasonic probe at A, as NI MAX names it"
+        known |= _ask_for_address(dialogue, "probe", text, lambda address: _probes({"A": address}))
     if known:
         usual = laboratory()[0]["rig"]["niscope"]
         tables["niscope"] = {**usual, "probes": {name: _plain(wiring) for name, wiring in known.items()}}
@@ -75,12 +74,7 @@ def _ask_for_address(
         except InstrumentError as error:
             raise ValueError(str(error)) from error
 
-    return dialogue.ask(Question(name=name, text=f"{text}, - for none", default="-"), parse)
-
-
-def _probes_at_a(address: str) -> dict[str, ProbeWiring]:
-    """Return the wiring of one probe at position A."""
-    return _probes({"A": address})
+    return dialogue.ask(name, f"{text}, - for none", parse, default="-")
 
 
 def _probes(addresses: Mapping[str, str]) -> dict[str, ProbeWiring]:

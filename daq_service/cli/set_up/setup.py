@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import click
 
 from analysis.errors import AnalysisError
-from daq_service.cli.doctor.storage import owner_of
+from daq_service.cli.doctor.storage import owner_of, refuse_while_owned
 from daq_service.cli.set_up.bench import Bench
 from daq_service.cli.set_up.boards import Boards
 from daq_service.cli.set_up.dialogue import Dialogue
@@ -72,8 +72,7 @@ def run_setup(
         raise UsageError("--set is for --kind; NI boards are set up by questions, or by --transducer")
     dialogue = Dialogue()
     folder = data_dir or file.absolute().parent / laboratory()[0]["storage"]["folder"]
-    if owner := owner_of(folder):
-        raise BusyError(f"setup is refused: {owner}")
+    refuse_while_owned("setup", owner_of(folder))
     with ExitStack() as stack:
         instruments: Instruments
         scope: Scope

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Protocol
 
 from analysis.errors import AnalysisError
-from daq_service.cli.set_up.dialogue import Dialogue, Question
+from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.cli.set_up.init import laboratory
 from daq_service.errors import BusyError, UsageError
 from daq_service.settings.tables import KeyPath, Tables
@@ -115,11 +115,7 @@ def positions_table(methods: Mapping[str, str]) -> dict[str, dict[str, str]]:
 
 def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None:
     """Ask for one more transducer; None if there is none."""
-    question = Question(
-        name="position",
-        text="Position of a solitary-wave transducer" + (", - to end" if taken else ""),
-        default="-" if taken else "B",
-    )
+    text_of_question = "Position of a solitary-wave transducer" + (", - to end" if taken else "")
 
     def parse(text: str) -> str | None:
         if text == "-" and taken:
@@ -130,15 +126,10 @@ def _ask_position(dialogue: Dialogue, taken: Mapping[str, object]) -> str | None
             )
         return text
 
-    return dialogue.ask(question, parse)
+    return dialogue.ask("position", text_of_question, parse, default="-" if taken else "B")
 
 
 def _strikes_or_goes_on(dialogue: Dialogue, position: str) -> bool:
     """Ask whether to strike; the default is no."""
-    question = Question(
-        name=f"{position}.strike",
-        text=f"Strike {position} once, all hands out of the rig? Or go on",
-        default="go on",
-        choices=("strike", "go on"),
-    )
-    return dialogue.ask(question, lambda answer: answer == "strike")
+    text, choices = f"Strike {position} once, all hands out of the rig? Or go on", ("strike", "go on")
+    return dialogue.ask(f"{position}.strike", text, str, default="go on", choices=choices) == "strike"

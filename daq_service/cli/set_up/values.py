@@ -5,19 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from pydantic import TypeAdapter
+
 from analysis.waves.first_settings import Proposal, Trouble
 from daq_service.cli.doctor.spike import HARDWARE_CURE
 from daq_service.cli.set_up.bench import Bench
-from daq_service.cli.set_up.dialogue import Dialogue, Question
+from daq_service.cli.set_up.dialogue import Dialogue
 from daq_service.errors import RigError
+from daq_service.shared_file import packaged_table
 
 REMEDIES: Mapping[Trouble, str] = {
-    "noise": "the noise reaches half of the wave: check cable, screen and grounding of the PZT",
-    "ringing": f"its coil rings until the wave comes: {HARDWARE_CURE}",
-    "no_wave": "no wave stands out: see whether the striker lifts and falls, then the sensor's cable",
-    "inverted": "its wave goes down, and such shots are flagged inverted: swap the PZT's leads",
-    "level": "its wave is too high or too low for the one level of all: bring the gains closer together",
-    "range": "no range of its board holds the wave: lower the gain before the input",
+    trouble: remedy.format(cure=HARDWARE_CURE)
+    for trouble, remedy in TypeAdapter(dict[Trouble, str]).validate_python(packaged_table(__file__)).items()
 }
 
 
@@ -53,30 +52,25 @@ def _own_values(dialogue: Dialogue, bench: Bench, proposal: Proposal) -> Proposa
 
     def number(name: str, text: str, default: float | None) -> float | None:
         shown = "-" if default is None else f"{default:g}"
-        question = Question(name=name, text=text, default=shown)
-        return dialogue.ask(question, lambda answer: None if answer == "-" else float(answer))
+        return dialogue.ask(
+            name, text, lambda answer: None if answer == "-" else float(answer), default=shown
+        )
 
     ranges = {}
     for name, range_v in proposal.range_v.items():
         choices = [f"{one:g}" for one in bench.ranges_v(bench.transducers[name])]
-        text = f"Range of {name}, +-V"
-        question = Question(name=f"{name}.range_v", text=text, default=f"{range_v:g}", choices=choices)
-        ranges[name] = dialogue.ask(question, float)
+        usual, text = f"{range_v:g}", f"Range of {name}, +-V"
+        ranges[name] = dialogue.ask(f"{name}.range_v", text, float, default=usual, choices=choices)
     level_v = number("trigger_level_v", "Trigger level, V", proposal.trigger_level_v)
-    slope = Question(
-        name="trigger_slope",
-        text="Direction in which it is passed",
-        default="rising" if proposal.rising else "falling",
-        choices=("rising", "falling"),
-    )
-    rising = dialogue.ask(slope, lambda answer: answer == "rising")
+    slopes, text = ("rising", "falling"), "Direction in which it is passed"
+    slope = dialogue.ask("trigger_slope", text, str, default=slopes[not proposal.rising], choices=slopes)
     pretrigger_s = number("pretrigger_s", "Time recorded before it, s", proposal.pretrigger_s)
     holdoff_s = number("holdoff_s", "Holdoff after the coil's pulse, s (- for none)", proposal.holdoff_s)
     return replace(
         proposal,
         range_v=ranges,
         trigger_level_v=proposal.trigger_level_v if level_v is None else level_v,
-        rising=rising,
+        rising=slope == "rising",
         pretrigger_s=pretrigger_s or proposal.pretrigger_s,
         holdoff_s=holdoff_s,
         ringing_s=0.0 if holdoff_s is None else proposal.ringing_s,

@@ -11,7 +11,7 @@ from pathlib import Path
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.evidence import baseline_doubts
 from daq_service.assessment.confirmation import count_recent, read_confirmations, summarize_confirmation
-from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
+from daq_service.assessment.position_status import age_of, is_stale, limit_of, status_of
 from daq_service.assessment.stored_limits import deciding_chart
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.connection import FILE_NAME
@@ -37,7 +37,7 @@ from daq_service.processes.heartbeat import time_now_ns
 from daq_service.processes.lost_catalogue import lost_reason
 from daq_service.processes.lost_sets import lost_sets
 from daq_service.processes.recorder_state import read_recorder_state
-from daq_service.settings.tree import ScheduleSettings, Settings
+from daq_service.settings.tree import Settings
 from hardware_drivers.methods import SOLITARY_WAVE
 from hardware_drivers.nanoseconds import NS_PER_S
 
@@ -64,7 +64,8 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
     try:
         with open_catalogue(folder, writer=False) as catalogue:
             fresh = Freshness(folder, catalogue, settings.clock.kind)
-            counts = catalogue.counts()
+            counts, schedule = catalogue.counts(), settings.schedule
+            hours = due_hours(schedule.phases, end_h=schedule.end_h)
             baselines = catalogue.newest_baselines()
             return {
                 "recorder": fresh.recorder.description,
@@ -77,7 +78,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 "paused": catalogue.paused(),
                 "orders": _open_orders(catalogue),
                 "counts": counts,
-                "next_due_h": _next_due_h(settings.schedule, counts["sets"] + counts["missed_sets"]),
+                "next_due_h": next(iter(hours[counts["sets"] + counts["missed_sets"] :]), None),
                 "gaps": _gaps(catalogue) if counts["missed_sets"] + counts["partial_sets"] else [],
                 "lost": _lost_rows(folder, catalogue) | lost_sets(folder, catalogue, newest_rows=LOOKED_AT),
                 "confirmations": _confirmations(
@@ -90,7 +91,7 @@ def describe_status(folder: Path, settings: Settings) -> dict[str, object]:
                 "positions": {
                     name: {
                         **_newest_rows(latest),
-                        **_present_state(folder, settings, catalogue, fresh, latest),
+                        **_present_state(settings, fresh, latest),
                         "baseline": _rate_of(baselines.get(name)),
                     }
                     for name, latest in (
@@ -154,12 +155,9 @@ def _newest_rows(latest: LatestRows) -> dict[str, object]:
     }
 
 
-def _present_state(
-    folder: Path, settings: Settings, catalogue: Catalogue, fresh: Freshness, last: LatestRows
-) -> dict[str, object]:
+def _present_state(settings: Settings, fresh: Freshness, last: LatestRows) -> dict[str, object]:
     """Return what changes with time: state, age, limits, the interval of a thickness."""
-    data_h = data_hour(last)
-    age_h = None if data_h is None else fresh.age_h(data_h)
+    age_h = age_of(last, fresh)
     chart = deciding_chart(last.last_assessment, settings.alarms)
     return {
         "state": status_of(last),
@@ -204,12 +202,6 @@ def _confirmations(
             name: max(0, maximum_a_day - count_recent(name, requested, fresh.now_h)) for name in transducers
         },
     }
-
-
-def _next_due_h(schedule: ScheduleSettings, done: int) -> float | None:
-    """Return the hour of the first set without rows; None if every scheduled set has its own."""
-    hours = due_hours(schedule.phases, end_h=schedule.end_h)[done:]
-    return hours[0] if hours else None
 
 
 def _open_orders(catalogue: Catalogue) -> list[dict[str, object]]:

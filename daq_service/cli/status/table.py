@@ -23,24 +23,15 @@ from daq_service.settings.foreign_text import all_in_one_line, in_one_line
 Facts = Mapping[str, Any]
 """Part of the status as JSON (`facts.describe_status`)."""
 STYLES = {
-    "alarm": "bold red",
-    "disabled": "bold red",
-    "outlier": "yellow",
-    "shelved": "yellow",
-    "out_of_service": "yellow",
-    "collecting_baseline": "cyan",
-    "not_assessed": "yellow",
-    "normal": "green",
-    "running": "green",
-    "finished": "green",
-    "stopped": "yellow",
-    "not_responding": "bold red",
-    "not_started": "yellow",
-    "unacknowledged": "bold red",
-    "returned_unacknowledged": "yellow",
-    "acknowledged": "yellow",
-    "suspect": "yellow",
-    "bad": "bold red",
+    word: style
+    for style, words in (
+        ("green", ("normal", "running", "finished")),
+        ("cyan", ("collecting_baseline",)),
+        ("yellow", ("outlier", "shelved", "out_of_service", "not_assessed", "stopped", "not_started")),
+        ("yellow", ("returned_unacknowledged", "acknowledged", "suspect")),
+        ("bold red", ("alarm", "disabled", "not_responding", "unacknowledged", "bad")),
+    )
+    for word in words
 }
 """Colours never stand alone: each has its word."""
 DISK_STYLES = dict(zip(LEVELS, ("", "yellow", "bold red", "bold red"), strict=True))

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from daq_service.errors import UsageError
+from daq_service.shared_file import packaged_table
 from simulator.parameters.chain import ChainParameters
 from simulator.parameters.plate import CorrosionParameters, PlateParameters
 
@@ -24,19 +25,7 @@ SECTIONS: Mapping[str, type] = {
     "corrosion": CorrosionParameters,
 }
 
-ZENER_KEYS = (
-    "chain.radius_m",
-    "chain.mass_kg",
-    "chain.youngs_modulus_pa",
-    "chain.poisson_ratio",
-    "chain.spheres_below",
-    "chain.drop_height_m",
-    "plate.thickness_m",
-    "plate.youngs_modulus_pa",
-    "plate.poisson_ratio",
-    "plate.density_kg_per_m3",
-    "corrosion.depth_fraction",
-)
+ZENER_KEYS = TypeAdapter(dict[str, tuple[str, ...]]).validate_python(packaged_table(__file__))["zener"]
 """What counts in Zener's model; the other keys do not change its numbers."""
 
 

@@ -10,18 +10,16 @@ import csv
 import io
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from daq_service.archive.sweep_table import hdf5_image
-from daq_service.cli.sweep.table import Column, SweepTable, facts_text
+from daq_service.cli.sweep.table import SweepTable, facts_text
 from daq_service.errors import StorageError, UsageError
-from daq_service.settings.foreign_text import spreadsheet_cell
 from daq_service.shared_file import write_durably
+from daq_service.web.tables.formats import cell_text, pyarrow
 
 HDF5_SUFFIXES = (".h5", ".hdf5")
 SUFFIXES = (".csv", *HDF5_SUFFIXES, ".parquet")
+OTHERWISE = "write .csv or .h5"
 
 
 def check_outputs(paths: Sequence[Path], *, waveforms: bool) -> None:
@@ -49,7 +47,7 @@ def check_outputs(paths: Sequence[Path], *, waveforms: bool) -> None:
     if len({path.absolute() for path in paths}) < len(paths):
         raise UsageError("--out names a file twice")
     if any(path.suffix.lower() == ".parquet" for path in paths):
-        _pyarrow()
+        pyarrow(OTHERWISE)
     if waveforms and not any(path.suffix.lower() in HDF5_SUFFIXES for path in paths):
         raise UsageError("--waveforms are stored in HDF5 only; add --out FILE.h5")
 
@@ -79,7 +77,15 @@ def write_output(path: Path, table: SweepTable) -> None:
     elif suffix == ".parquet":
         _write(path, parquet_bytes(table))
     else:
-        _write(path, hdf5_bytes(table))
+        image = hdf5_image(
+            swept=table.swept,
+            results=table.results,
+            status=table.status,
+            forces=table.forces,
+            facts=table.facts,
+            facts_text=facts_text(table),
+        )
+        _write(path, image)
 
 
 def csv_text(table: SweepTable) -> str:
@@ -87,53 +93,19 @@ def csv_text(table: SweepTable) -> str:
     text = io.StringIO(newline="")
     writer = csv.writer(text)
     writer.writerow(table.columns)
-    columns = [_cells(values) for values in table.columns.values()]
-    writer.writerows(zip(*columns, strict=True))
+    writer.writerows([cell_text(cell) for cell in row.values()] for row in table.rows())
     return text.getvalue()
-
-
-def _cells(values: Column) -> list[str]:
-    """Return a column as cells of a CSV file."""
-    if isinstance(values, list):
-        return list(map(spreadsheet_cell, values))
-    if values.dtype == np.bool_:
-        return [str(cell).lower() for cell in values.tolist()]
-    return ["" if cell != cell else repr(cell) for cell in values.tolist()]  # only NaN differs from itself
-
-
-def hdf5_bytes(table: SweepTable) -> bytes:
-    """Return the HDF5 file with the table, its facts and, if kept, the waveforms."""
-    return hdf5_image(
-        swept=table.swept,
-        results=table.results,
-        status=table.status,
-        forces=table.forces,
-        facts=table.facts,
-        facts_text=facts_text(table),
-    )
 
 
 def parquet_bytes(table: SweepTable) -> bytes:
     """Return the Parquet file; its metadata hold the facts under the key ``solimon``."""
-    pyarrow = _pyarrow()
+    arrow = pyarrow(OTHERWISE)
     from pyarrow import parquet
 
-    content = pyarrow.table(dict(table.columns)).replace_schema_metadata({"solimon": facts_text(table)})
+    content = arrow.table(dict(table.columns)).replace_schema_metadata({"solimon": facts_text(table)})
     buffer = io.BytesIO()
     parquet.write_table(content, buffer)
     return buffer.getvalue()
-
-
-def _pyarrow() -> Any:
-    """Return the module pyarrow; raise an error with the remedy if it is not installed."""
-    try:
-        import pyarrow
-    except ImportError as error:
-        raise UsageError(
-            "Parquet needs the package pyarrow, which is not installed: pip install 'solimon[parquet]', or "
-            "write .csv or .h5"
-        ) from error
-    return pyarrow
 
 
 def _write(path: Path, content: bytes) -> None:

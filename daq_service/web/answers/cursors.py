@@ -10,7 +10,8 @@ from daq_service.web.answers.problem import Problem
 
 def encode(listing: str, after: int) -> str:
     """Return the cursor after row ``after`` of a listing; ``listing`` names the resource and its filters."""
-    return base64.urlsafe_b64encode(f"{_mark(listing)}.{after}".encode()).decode().rstrip("=")
+    mark = hashlib.sha256(listing.encode()).hexdigest()[:8]
+    return base64.urlsafe_b64encode(f"{mark}.{after}".encode()).decode().rstrip("=")
 
 
 def decode(listing: str, cursor: str | None) -> int | None:
@@ -34,8 +35,3 @@ def decode(listing: str, cursor: str | None) -> int | None:
             f"cursor is {cursor!r}; it is none that this listing gave out with these filters.",
         )
     return number
-
-
-def _mark(listing: str) -> str:
-    """Return a short hash that identifies a listing in its cursors."""
-    return hashlib.sha256(listing.encode()).hexdigest()[:8]

@@ -5,15 +5,14 @@ Keys are names, or ``Schema.name`` and ``operation.name`` where a name has a spe
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
-from pathlib import Path
 from typing import TypeVar
 
 from pydantic import BaseModel
 
 from daq_service.catalogue.rows import columns_of
 from daq_service.catalogue.tables import TABLES
+from daq_service.shared_file import packaged_table
 
 T = TypeVar("T")
 RATIOS = ("_ratio", "_coefficient", "_fraction", "_probability", "_squared")
@@ -28,11 +27,12 @@ class Vocabulary(BaseModel, frozen=True):
     tags: Mapping[str, str]
     problems: Mapping[int, str]
     units: Mapping[str, str]
+    topics: tuple[str, ...]
+    listings: Mapping[str, str]
+    schemes: dict[str, dict[str, str]]
 
 
-VOCABULARY = Vocabulary.model_validate(
-    tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-)
+VOCABULARY = Vocabulary.model_validate(packaged_table(__file__))
 
 
 MEANINGS: Mapping[str, str] = {

@@ -6,13 +6,13 @@ admin, and `tests/contract/test_roles.py` fails. Each role may do what those bef
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal, get_args
 
 from pydantic import BaseModel
+
+from daq_service.shared_file import packaged_table
 
 Role = Literal["viewer", "operator", "engineer", "admin"]
 ROLES: tuple[Role, ...] = get_args(Role)
@@ -25,7 +25,7 @@ class _Table(BaseModel, frozen=True, extra="forbid"):
     commands: Mapping[str, Role]
 
 
-_TABLE = _Table.model_validate(tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")))
+_TABLE = _Table.model_validate(packaged_table(__file__))
 OPERATIONS: Mapping[str, Role | None] = {
     name: None if role == "public" else role for name, role in _TABLE.operations.items()
 }
@@ -51,13 +51,8 @@ class Person:
 
     def may(self, needed: Role | None) -> bool:
         """Return whether this person's role is sufficient."""
-        return needed is None or self.role == CLAIMED or ROLES.index(needed) <= _rank(self.role)
+        return needed is None or self.role == CLAIMED or self.role in ROLES[ROLES.index(needed) :]
 
     def may_do(self) -> list[str]:
         """Return the operations and kinds of commands that this person may use."""
         return sorted({name for name, needed in {**OPERATIONS, **ORDERS}.items() if self.may(needed)})
-
-
-def _rank(role: str) -> int:
-    """Return the rank of a role; unknown ones are lowest."""
-    return ROLES.index(role) if role in ROLES else -1

@@ -10,9 +10,9 @@ from typing import get_args
 
 from daq_service.acquisition.schedule import due_hours
 from daq_service.alarms.states import PRIORITIES
-from daq_service.assessment.position_status import PositionStatus
+from daq_service.assessment.position_status import PositionStatus, latest_rows
 from daq_service.catalogue.experiment_file import EXPERIMENT_FILE
-from daq_service.catalogue.reader import Catalogue, LatestRows
+from daq_service.catalogue.reader import Catalogue
 from daq_service.catalogue.rows import AlarmRow
 from daq_service.catalogue.store import open_catalogue
 from daq_service.processes.data_folder import LOCK_FILE
@@ -116,21 +116,14 @@ def _mark_of(folder: Path) -> tuple[int, ...]:
 def _present_state(settings: Settings, folder: Path, catalogue: Catalogue) -> Standing:
     """Return the present state of a test."""
     fresh = Freshness(folder, catalogue, settings.clock.kind)
-    summaries = catalogue.positions_state()
+    latest = latest_rows(catalogue, fresh, settings.positions)
     hours = due_hours(settings.schedule.phases, end_h=settings.schedule.end_h)
     positions = [
-        position_standing(
-            place,
-            settings.schedule,
-            fresh,
-            fresh.standing_word(summaries.get(name) or LatestRows(position=name, method=place.method)),
-        )
-        for name, place in settings.positions.items()
+        position_standing(settings.positions[name], settings.schedule, fresh, last)
+        for name, last in latest.items()
     ]
     active = catalogue.rows(AlarmRow, active=True)
-    measured = [
-        row for summary in summaries.values() if (row := summary.last_feature or summary.last_thickness)
-    ]
+    measured = [row for last in latest.values() if (row := last.last_feature or last.last_thickness)]
     newest = max(measured, key=lambda row: row.set_index, default=None)
     return Standing(
         rig=settings.rig.kind,

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Literal
 
-from pydantic import ValidationError
+from pydantic import TypeAdapter, ValidationError
 
 from daq_service.catalogue.errors import CatalogueDamagedError, NoDataYetError, SchemaVersionError
 from daq_service.catalogue.experiment_file import read_experiment
@@ -17,6 +17,7 @@ from daq_service.errors import SolimonError, UsageError
 from daq_service.processes.data_folder import refuse_other_folders, settings_and_folder
 from daq_service.settings.stored import stored_settings
 from daq_service.settings.tree import Settings
+from daq_service.shared_file import packaged_table
 from daq_service.web.auth.middleware import AccessPolicy
 from daq_service.web.auth.tokens import read_tokens, tokens_file
 
@@ -24,16 +25,7 @@ Absence = Literal[
     "no_data", "missing", "foreign", "misconfigured", "damaged", "other_version", "locked", "unreadable"
 ]
 
-REMEDIES: Mapping[Absence, str] = {
-    "no_data": "Start `solimon run` or `solimon record` with it; it appears by itself.",
-    "missing": "Mount its disk, or correct the path; it appears by itself when it is there.",
-    "foreign": "Name the data folder of a test, or its configuration.",
-    "misconfigured": "Correct the file (`solimon check-config`); it is read again by itself.",
-    "damaged": "`solimon verify` says what is damaged, `solimon rebuild` makes the catalogue again.",
-    "other_version": "Start the recorder of this version, which migrates it, or serve it by its own version.",
-    "locked": "Its owner asks for tokens: name a file of tokens for this service (`web.tokens_file`).",
-    "unreadable": "Mend the disk or its rights; it appears by itself when it can be read.",
-}
+REMEDIES = TypeAdapter(dict[Absence, str]).validate_python(packaged_table(__file__))
 
 
 class AbsentError(SolimonError):

@@ -12,8 +12,14 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from daq_service.archive import FolderSetReader
-from daq_service.assessment.position_status import data_hour, is_stale, limit_of, status_of
+from daq_service.assessment.position_status import (
+    age_of,
+    data_hour,
+    is_stale,
+    latest_rows,
+    limit_of,
+    status_of,
+)
 from daq_service.catalogue import Catalogue, open_catalogue
 from daq_service.catalogue.reader import Filters, LatestRows
 from daq_service.catalogue.rows import (
@@ -171,14 +177,12 @@ def read_contents(
             "last_h": None if to_h is None else math.nextafter(to_h, -math.inf),
         }
         sets = {name: _sets(catalogue, name, filters) for name in settings.positions}
-        summaries, archive = catalogue.positions_state(), FolderSetReader(folder)
+        latest = latest_rows(catalogue, fresh, settings.positions)
         positions = [
-            _position_report(
-                catalogue, archive, settings, fresh, name, summaries.get(name), sets[name], filters
-            )
-            for name in settings.positions
+            _position_report(catalogue, settings, fresh, last, sets[name], filters)
+            for name, last in latest.items()
         ]
-        features = [summary.last_feature for summary in summaries.values() if summary.last_feature]
+        features = [last.last_feature for last in latest.values() if last.last_feature]
         files = {row.file: row.file_sha256 or "" for rows in sets.values() for row in rows if row.file}
         file_list = "".join(f"{file} {sha256}\n" for file, sha256 in sorted(files.items()))
         alarms = [
@@ -229,19 +233,15 @@ def _sets(catalogue: Catalogue, position: str, filters: Filters) -> list[SetRow]
 
 def _position_report(
     catalogue: Catalogue,
-    archive: FolderSetReader,
     settings: Settings,
     fresh: Freshness,
-    name: str,
-    summary: LatestRows | None,
+    last: LatestRows,
     sets: Sequence[SetRow],
     filters: Filters,
 ) -> PositionReport:
     """Return the present state and the columns of a position."""
+    name, age_h = last.position, age_of(last, fresh)
     position_settings = settings.positions[name]
-    last = summary or LatestRows(position=name, method=position_settings.method)
-    data_h = data_hour(last)
-    age_h = None if data_h is None else fresh.age_h(data_h)
     is_probe = position_settings.method == PULSE_ECHO
     kind, columns = (ThicknessRow, OF_ECHOES) if is_probe else (FeatureRow, OF_WAVES)
     set_filters: Filters = {**filters, "position": name, "scope": None if is_probe else "set"}
@@ -253,8 +253,8 @@ def _position_report(
         method=position_settings.method,
         serial_number=position_settings.serial_number,
         last=last,
-        state=status_of(fresh.standing_word(last)),
-        data_h=data_h,
+        state=status_of(last),
+        data_h=data_hour(last),
         age_h=age_h,
         stale=is_stale(settings.schedule, fresh, age_h),
         limit=limit_of(last, settings.thinnest_m),

@@ -15,6 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 
+from daq_service.shared_file import packaged_table
 from daq_service.web.report.contents import Columns, Contents, PositionReport
 from hardware_drivers.methods import PULSE_ECHO
 
@@ -26,24 +27,7 @@ MARGIN = 0.01
 POOR = "suspect or bad"
 ABOVE: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 0.98), "ncols": 4}
 """Position of a legend above the axes."""
-RULES: Any = {
-    "font.family": "sans-serif",
-    "font.size": 8.5,
-    "axes.titlesize": 9,
-    "axes.titlelocation": "left",
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "grid.color": "#dddddd",
-    "grid.linewidth": 0.5,
-    "axes.axisbelow": True,
-    "legend.fontsize": 7.5,
-    "legend.frameon": False,
-    "lines.markersize": 3,
-    "svg.hashsalt": "solimon",
-    "svg.fonttype": "none",
-    "path.simplify": False,
-}
+RULES: Any = packaged_table(__file__)
 _NO_METADATA = {"Date": None, "Creator": None, "Format": None, "Type": None}
 
 

@@ -8,11 +8,11 @@ from fastapi import APIRouter
 
 from daq_service.alarms.guidance import GUIDANCE
 from daq_service.alarms.transitions import transition
-from daq_service.catalogue.rows import EventRow
+from daq_service.catalogue.rows import AlarmRow, EventRow
 from daq_service.web.answers import models
 from daq_service.web.answers.json_answer import JsonAnswer, with_utc
 from daq_service.web.answers.problem import not_found
-from daq_service.web.context import ContextOf
+from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.listing import RowId
 
 router = APIRouter(tags=["alarms"])
@@ -22,20 +22,14 @@ ERRORS = models.problems(404, 503)
 @router.get("/alarms/{alarm_id}", response_model=models.AlarmRow, responses=ERRORS)
 def get_alarm(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return one alarm with its evidence."""
-    row = context.catalogue().alarm(alarm_id)
-    if row is None:
-        raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")
-    return JsonAnswer(context.freshness().row(row))
+    return JsonAnswer(context.freshness().row(_alarm(context, alarm_id)))
 
 
 @router.get("/alarms/{alarm_id}/history", response_model=models.AlarmHistory, responses=ERRORS)
 def get_alarm_history(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
     """Return every transition of an alarm, the oldest first, with time, person and reason."""
-    catalogue, fresh = context.catalogue(), context.freshness()
-    row = catalogue.alarm(alarm_id)
-    if row is None:
-        raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")
-    events = catalogue.rows(EventRow, topic="alarms", position=row.position)
+    row, fresh = _alarm(context, alarm_id), context.freshness()
+    events = context.catalogue().rows(EventRow, topic="alarms", position=row.position)
     items = [
         with_utc(transition(event), fresh.epoch_utc_ns)
         for event in events
@@ -48,3 +42,10 @@ def get_alarm_history(alarm_id: RowId, context: ContextOf) -> JsonAnswer:
 def list_guidance() -> JsonAnswer:
     """List for each kind of alarm its meaning, limitations, checks and contact."""
     return JsonAnswer({"items": [{"kind": kind, **asdict(guidance)} for kind, guidance in GUIDANCE.items()]})
+
+
+def _alarm(context: Context, alarm_id: int) -> AlarmRow:
+    row = context.catalogue().alarm(alarm_id)
+    if row is None:
+        raise not_found(f"There is no alarm {alarm_id}.", "/api/v1/alarms lists them.")
+    return row

@@ -14,17 +14,6 @@ from daq_service.web.answers.vocabulary import MEANINGS, RATIOS, VOCABULARY, loo
 from daq_service.web.auth.roles import OPERATIONS, ORDERS
 from hardware_drivers.units import unit_of
 
-SCHEMES = {
-    "token": {"type": "http", "scheme": "bearer", "description": "A token of `solimon token create`"},
-    "cookie": {
-        "type": "apiKey",
-        "in": "cookie",
-        "name": "solimon",
-        "description": "Of `log_in`; the name ends in a mark of the service and over TLS begins with __Host-",
-    },
-}
-
-
 OpenApi = dict[str, Any]
 """Document of OpenAPI, or a part of it, as FastAPI makes it."""
 
@@ -34,7 +23,7 @@ def describe_roles(document: OpenApi) -> None:
 
     The empty alternative: a service on loopback requires no token before the first one is created.
     """
-    document["components"]["securitySchemes"] = SCHEMES
+    document["components"]["securitySchemes"] = VOCABULARY.schemes
     for item in document["paths"].values():
         for operation in item.values():
             role = OPERATIONS.get(operation["operationId"], "admin")

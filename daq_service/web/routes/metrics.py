@@ -12,20 +12,30 @@ from prometheus_client import CollectorRegistry
 from prometheus_client.metrics_core import CounterMetricFamily, GaugeMetricFamily, InfoMetricFamily, Metric
 from prometheus_client.openmetrics.exposition import CONTENT_TYPE_LATEST, generate_latest
 from prometheus_client.registry import Collector
+from pydantic import TypeAdapter
 from starlette.responses import Response
 
-from daq_service.assessment.position_status import PositionStatus, data_hour, is_stale, limit_of, status_of
+from daq_service.assessment.position_status import (
+    PositionStatus,
+    age_of,
+    is_stale,
+    latest_rows,
+    limit_of,
+    status_of,
+)
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import AlarmRow, CommandRow, Quality
 from daq_service.processes.disk_policy import LEVELS, outlook
 from daq_service.processes.recorder_state import RecorderStatus, read_recorder_state
 from daq_service.settings.tree import ScheduleSettings
+from daq_service.shared_file import packaged_table
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.version import distribution_version
 from daq_service.web.context import Context, ContextOf, Freshness
 from hardware_drivers.nanoseconds import NS_PER_S
 
 probes = APIRouter(tags=["health"])
+DESCRIPTIONS = TypeAdapter(dict[str, str]).validate_python(packaged_table(__file__))
 S_PER_H = 3600.0
 
 Labels = tuple[str, ...]
@@ -70,15 +80,15 @@ def of_service() -> Iterator[Metric]:
 
 def of_clients(context: Context) -> Iterator[Metric]:
     """Yield the numbers of open streams of a test."""
-    yield _gauge("stream_clients", "Open event streams", context.hub.clients)
-    yield _gauge("waveform_clients", "Open waveform streams", context.live.clients)
+    yield _gauge("stream_clients", context.hub.clients)
+    yield _gauge("waveform_clients", context.live.clients)
 
 
 def of_test(context: Context) -> Iterator[Metric]:
     """Yield the present metrics of a test; without data, only the status of its recorder."""
     yield from _of_notifications(context)
     has_data = context.has_data()
-    yield _gauge("has_data", "1: something is stored", has_data)
+    yield _gauge("has_data", has_data)
     if has_data:
         yield from _of_data(context, context.freshness())
     else:
@@ -96,63 +106,51 @@ def _of_notifications(context: Context) -> Iterator[Metric]:
     yield sent
     yield failed
     waiting: dict[Labels, int] = {(queue.name,): queue.state.waiting for queue in queues}
-    yield _gauges("notifications_waiting", "Changes of alarms not told yet", waiting, "receiver")
+    yield _gauges("notifications_waiting", waiting, "receiver")
 
 
-COUNTS = {
-    "sets": "Due times with a record",
-    "missed_sets": "Due times without any record",
-    "partial_sets": "Due times with a record that lack something",
-    "shots": "Stored solitary-wave shots",
-    "pulse_echo_records": "Stored pulse-echo records",
-}
+COUNTS = ("sets", "missed_sets", "partial_sets", "shots", "pulse_echo_records")
 
 
 def _of_data(context: Context, fresh: Freshness) -> Iterator[Metric]:
     """Yield the metrics of recorder, stored data and disk."""
     catalogue = context.catalogue()
     yield _recorder(fresh.recorder.status)
-    yield _gauge(
-        "heartbeat_age_seconds", "Wall time since the recorder's last sign of life", fresh.recorder.beat_age_s
-    )
-    yield _gauge("write_age_seconds", "Wall time since something was stored", fresh.wall_age_s)
-    yield _gauge("test_hours", "Hour of the test", fresh.now_h)
-    yield _gauge("paused", "1: the test is paused", catalogue.paused() is not None)
+    yield _gauge("heartbeat_age_seconds", fresh.recorder.beat_age_s)
+    yield _gauge("write_age_seconds", fresh.wall_age_s)
+    yield _gauge("test_hours", fresh.now_h)
+    yield _gauge("paused", catalogue.paused() is not None)
     counts = catalogue.counts()
-    for name, description in COUNTS.items():
-        yield _counter(name, description, counts[name])
-    yield _counter("alarms", "Alarms ever raised", catalogue.newest_id(AlarmRow))
-    yield _counter("orders", "Orders ever given", catalogue.newest_id(CommandRow))
+    for name in COUNTS:
+        yield _counter(name, counts[name])
+    yield _counter("alarms", catalogue.newest_id(AlarmRow))
+    yield _counter("orders", catalogue.newest_id(CommandRow))
     disk = outlook(context.data_folder, context.settings.storage, context.settings.schedule, catalogue)
-    yield _gauge("disk_free_bytes", "Free on the volume of the data folder", disk.free_bytes)
-    yield _gauge("disk_size_bytes", "Size of that volume", disk.total_bytes)
-    yield _gauge("disk_needed_bytes", "What the rest of the test takes", disk.needed_bytes)
-    yield _states("disk_level", "How full the volume is", {(): disk.level}, LEVELS)
+    yield _gauge("disk_free_bytes", disk.free_bytes)
+    yield _gauge("disk_size_bytes", disk.total_bytes)
+    yield _gauge("disk_needed_bytes", disk.needed_bytes)
+    yield _states("disk_level", {(): disk.level}, LEVELS)
     active = map(fresh.standing, catalogue.rows(AlarmRow, active=True))
     numbers: Counter[Labels] = Counter(
         (row.kind, row.priority, row.state, row.position or "", row.suppressed or "") for row in active
     )
     labels = ("kind", "priority", "state", "position", "suppressed")
-    yield _gauges("alarms_active", "Alarms that are not over", numbers, *labels)
-    states = catalogue.positions_state()
-    summaries = {
-        name: fresh.standing_word(states.get(name, LatestRows(position=name, method=place.method)))
-        for name, place in context.settings.positions.items()
-    }
-    yield from _of_positions(context.settings.schedule, context.settings.thinnest_m, fresh, summaries)
+    yield _gauges("alarms_active", numbers, *labels)
+    latest = latest_rows(catalogue, fresh, context.settings.positions)
+    yield from _of_positions(context.settings.schedule, context.settings.thinnest_m, fresh, latest)
 
 
 VALUES = (
-    ("outlier", "1: the newest judged set is an outlier", "last_assessment", "outlier"),
-    ("distance_squared", "Mahalanobis squared distance", "last_assessment", "distance_squared"),
-    ("time_of_flight_seconds", "Peak to peak", "last_feature", "tof_pp_s"),
-    ("amplitude_ratio", "PSW over ISW", "last_feature", "amplitude_ratio"),
-    ("thickness_meters", "Wall by pulse echo", "last_thickness", "thickness_m"),
-    ("thickness_loss_meters", "Since the test began", "last_thickness", "thickness_loss_m"),
-    ("last_set_shots", "Shots of the newest set", "last_set", "n_taken"),
-    ("last_set_missed_shots", "Strikes without a record", "last_set", "n_missed"),
+    ("outlier", "last_assessment", "outlier"),
+    ("distance_squared", "last_assessment", "distance_squared"),
+    ("time_of_flight_seconds", "last_feature", "tof_pp_s"),
+    ("amplitude_ratio", "last_feature", "amplitude_ratio"),
+    ("thickness_meters", "last_thickness", "thickness_m"),
+    ("thickness_loss_meters", "last_thickness", "thickness_loss_m"),
+    ("last_set_shots", "last_set", "n_taken"),
+    ("last_set_missed_shots", "last_set", "n_missed"),
 )
-"""Newest values of a position: metric, description, row and its column."""
+"""Newest values of a position: metric, row and its column."""
 
 
 def _of_positions(
@@ -160,22 +158,16 @@ def _of_positions(
 ) -> Iterator[Metric]:
     """Yield the metrics of each position, from its latest rows."""
 
-    def gauge(name: str, description: str, value: Callable[[LatestRows], float | None]) -> Metric:
+    def gauge(name: str, value: Callable[[LatestRows], float | None]) -> Metric:
         samples: dict[Labels, float | None] = {(place,): value(last) for place, last in summaries.items()}
-        return _gauges(name, description, samples, "position")
+        return _gauges(name, samples, "position")
 
-    def states(
-        name: str, description: str, state: Callable[[LatestRows], str | None], known: object
-    ) -> Metric:
+    def states(name: str, state: Callable[[LatestRows], str | None], known: object) -> Metric:
         present: dict[Labels, str | None] = {(place,): state(last) for place, last in summaries.items()}
-        return _states(name, description, present, get_args(known), "position")
-
-    def age_h(last: LatestRows) -> float | None:
-        hour = data_hour(last)
-        return None if hour is None else fresh.age_h(hour)
+        return _states(name, present, get_args(known), "position")
 
     def age_s(last: LatestRows) -> float | None:
-        hours = age_h(last)
+        hours = age_of(last, fresh)
         return None if hours is None else S_PER_H * hours
 
     def value_of(row: str, column: str) -> Callable[[LatestRows], float | None]:
@@ -184,19 +176,18 @@ def _of_positions(
     def limit_of_row(row: str) -> Callable[[LatestRows], float | None]:
         return lambda last: None if getattr(last, row) is None else limit_of(last, thinnest_m)
 
-    yield states("position_state", "How a position stands", status_of, PositionStatus)
-    yield states("quality", "Quality of the newest values", _quality, Quality)
+    yield states("position_state", status_of, PositionStatus)
+    yield states("quality", _quality, Quality)
     yield gauge(
         "stale",
-        "1: older than the schedule explains",
-        lambda last: is_stale(schedule, fresh, age_h(last)),
+        lambda last: is_stale(schedule, fresh, age_of(last, fresh)),
     )
-    yield gauge("data_age_seconds", "Age of the newest measured set on the test's clock", age_s)
-    for name, description, row, column in VALUES:
-        yield gauge(name, description, value_of(row, column))
-    yield gauge("distance_squared_limit", "The limit of an outlier", limit_of_row("last_assessment"))
-    yield gauge("thickness_limit_meters", "Below it the probe alarms", limit_of_row("last_thickness"))
-    yield gauge("last_set_start_delay_seconds", "From when the set was due to its first strike", _delay_s)
+    yield gauge("data_age_seconds", age_s)
+    for name, row, column in VALUES:
+        yield gauge(name, value_of(row, column))
+    yield gauge("distance_squared_limit", limit_of_row("last_assessment"))
+    yield gauge("thickness_limit_meters", limit_of_row("last_thickness"))
+    yield gauge("last_set_start_delay_seconds", _delay_s)
 
 
 def _quality(summary: LatestRows) -> str | None:
@@ -215,31 +206,29 @@ def _delay_s(summary: LatestRows) -> float | None:
 
 def _recorder(status: str) -> Metric:
     """Return the metric of the recorder's state."""
-    return _states("recorder_state", "How the recorder is", {(): status}, get_args(RecorderStatus))
+    return _states("recorder_state", {(): status}, get_args(RecorderStatus))
 
 
-def _counter(name: str, description: str, number: int) -> Metric:
+def _counter(name: str, number: int) -> Metric:
     """Return a counter."""
-    return CounterMetricFamily(f"solimon_{name}", description, value=number)
+    return CounterMetricFamily(f"solimon_{name}", DESCRIPTIONS[name], value=number)
 
 
-def _gauge(name: str, description: str, number: float | None) -> Metric:
+def _gauge(name: str, number: float | None) -> Metric:
     """Return a gauge; without a value it is absent."""
-    return _gauges(name, description, {(): number})
+    return _gauges(name, {(): number})
 
 
-def _gauges(name: str, description: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
+def _gauges(name: str, samples: Mapping[Labels, float | None], *labels: str) -> Metric:
     """Return a number by the values of its labels; None is omitted."""
-    family = GaugeMetricFamily(f"solimon_{name}", description, labels=labels)
+    family = GaugeMetricFamily(f"solimon_{name}", DESCRIPTIONS[name], labels=labels)
     for of_labels, number in samples.items():
         if number is not None:
             family.add_metric(of_labels, float(number))
     return family
 
 
-def _states(
-    name: str, description: str, present: Mapping[Labels, str | None], known: Iterable[str], *labels: str
-) -> Metric:
+def _states(name: str, present: Mapping[Labels, str | None], known: Iterable[str], *labels: str) -> Metric:
     """Return one sample per state, 1 for the present one."""
     samples = {
         (*of_labels, state): float(state == status)
@@ -247,4 +236,4 @@ def _states(
         for state in known
         if status
     }
-    return _gauges(name, description, samples, *labels, "state")
+    return _gauges(name, samples, *labels, "state")

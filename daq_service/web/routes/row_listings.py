@@ -15,6 +15,7 @@ from daq_service.web.answers import cursors, models
 from daq_service.web.answers.json_answer import JsonAnswer
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.problem import not_found
+from daq_service.web.answers.vocabulary import VOCABULARY
 from daq_service.web.context import Context, ContextOf, Freshness
 from daq_service.web.routes import listing
 from daq_service.web.tables.baselines import published_baselines
@@ -35,7 +36,6 @@ def add_listing(
     resource: str,
     kind: type[rows.Row],
     page: type[BaseModel],
-    description: str,
     filters: Parameters,
     render_rows: Callable[[Context, Freshness, Sequence[Any]], list[dict[str, object]]] | None = None,
 ) -> None:
@@ -45,8 +45,6 @@ def add_listing(
     ----------
     kind, page
         Rows of the table, and model of the answer.
-    description
-        Description of the listing in OpenAPI.
     filters
         Query parameters in addition to ``cursor`` and ``limit``, by the names of `Filters` but for the hours
         ``from_h`` and ``to_h``: type and default of each.
@@ -84,7 +82,7 @@ def add_listing(
             ),
         ]
     )
-    page_of.__doc__ = description
+    page_of.__doc__ = VOCABULARY.listings[resource]
     router.get(
         f"/{resource}",
         tags=[resource],
@@ -103,68 +101,26 @@ def with_quality(
     return [fresh.row(row, quality=quality) for row, quality in zip(assessments, qualities, strict=True)]
 
 
-add_listing(
-    "sets",
-    rows.SetRow,
-    models.SetPage,
-    "List one row a set and position, in the order in which they were stored.",
-    POSITION | {"state": (rows.SetState | None, None)} | SET_INDEX | HOURS | PURPOSE,
-)
-SCOPE = Annotated[Literal["set", "shot"], Query(description="Means of sets, or single shots")]
-add_listing(
-    "features",
-    rows.FeatureRow,
-    models.FeaturePage,
-    "List features with their quality and age.",
-    POSITION | {"scope": (SCOPE, "set")} | SET_INDEX | HOURS | PURPOSE,
-)
-add_listing(
-    "thickness",
-    rows.ThicknessRow,
-    models.ThicknessPage,
-    "List pulse-echo results with their quality and age.",
-    POSITION | SET_INDEX | HOURS,
-)
-add_listing(
-    "assessments",
-    rows.AssessmentRow,
-    models.AssessmentPage,
-    "List assessments with the quality of the feature that was judged.",
-    POSITION | SET_INDEX | HOURS | PURPOSE,
-    with_quality,
-)
-add_listing(
-    "environment",
-    rows.EnvironmentRow,
-    models.EnvironmentPage,
-    "List supply and climate, one row a set; no rows where neither is configured.",
-    HOURS,
-)
-ACTIVE = Annotated[bool | None, Query(description="true: not closed; false: closed; absent: all")]
-add_listing(
-    "alarms",
-    rows.AlarmRow,
-    models.AlarmPage,
-    "List alarms in the order they were raised.",
-    POSITION
-    | HOURS
-    | {
-        "active": (ACTIVE, None),
-        "state": (Annotated[rows.AlarmState | None, Query(description="Only this state")], None),
-        "priority": (Annotated[rows.Priority | None, Query(description="Only this priority")], None),
-        "kind": (Annotated[str | None, Query(max_length=50, description="Only this kind")], None),
-    },
-)
-
-
-WITHDRAWN = Annotated[bool | None, Query(description="true: those withdrawn; false: the others; absent: all")]
-add_listing(
-    "annotations",
-    rows.AnnotationRow,
-    models.AnnotationPage,
-    "List annotations of any hour of a range, in the order they were written.",
-    POSITION | HOURS | {"withdrawn": (WITHDRAWN, None)},
-)
+BY_SET = SET_INDEX | HOURS | PURPOSE
+STATE: Parameters = {"state": (rows.SetState | None, None)}
+MEANS = Query(description="Means of sets, or single shots")
+SCOPE: Parameters = {"scope": (Annotated[Literal["set", "shot"], MEANS], "set")}
+ACTIVE = Query(description="true: not closed; false: closed; absent: all")
+OF_ALARMS: Parameters = {
+    "active": (Annotated[bool | None, ACTIVE], None),
+    "state": (Annotated[rows.AlarmState | None, Query(description="Only this state")], None),
+    "priority": (Annotated[rows.Priority | None, Query(description="Only this priority")], None),
+    "kind": (Annotated[str | None, Query(max_length=50, description="Only this kind")], None),
+}
+WITHDRAWN = Query(description="true: those withdrawn; false: the others; absent: all")
+OF_ANNOTATIONS: Parameters = {"withdrawn": (Annotated[bool | None, WITHDRAWN], None)}
+add_listing("sets", rows.SetRow, models.SetPage, POSITION | STATE | BY_SET)
+add_listing("features", rows.FeatureRow, models.FeaturePage, POSITION | SCOPE | BY_SET)
+add_listing("thickness", rows.ThicknessRow, models.ThicknessPage, POSITION | SET_INDEX | HOURS)
+add_listing("assessments", rows.AssessmentRow, models.AssessmentPage, POSITION | BY_SET, with_quality)
+add_listing("environment", rows.EnvironmentRow, models.EnvironmentPage, HOURS)
+add_listing("alarms", rows.AlarmRow, models.AlarmPage, POSITION | HOURS | OF_ALARMS)
+add_listing("annotations", rows.AnnotationRow, models.AnnotationPage, POSITION | HOURS | OF_ANNOTATIONS)
 
 
 @router.get(

@@ -19,22 +19,13 @@ from starlette.responses import StreamingResponse
 
 from daq_service.web.answers.models import problems
 from daq_service.web.answers.problem import Problem, invalid
+from daq_service.web.answers.vocabulary import VOCABULARY
 from daq_service.web.context import Context, ContextOf
 from daq_service.web.routes.admission import PersonOf
 from daq_service.web.streams.hub import EventHub
 
 router = APIRouter(tags=["stream"])
-TOPICS = (
-    "sets",
-    "features",
-    "thickness",
-    "assessments",
-    "alarms",
-    "annotations",
-    "environment",
-    "machine",
-    "service",
-)
+TOPICS = VOCABULARY.topics
 LARGEST_CHUNK_EVENTS = 32
 """About 20 kB: limits the memory for a client that does not read."""
 MOST_CLIENTS = 2000

@@ -23,7 +23,7 @@ from daq_service.web.routes.listing import (
     ToHour,
     last_hour,
 )
-from daq_service.web.tables.choice import TABLES, check_choice
+from daq_service.web.tables.choice import TABLES, Choice
 from daq_service.web.tables.export import exported
 from daq_service.web.tables.formats import FORMATS, available
 from daq_service.web.tables.record_formats import exported_records
@@ -80,8 +80,8 @@ def get_table(
     catalogue, fresh = context.catalogue(), context.freshness()
     headers = {"Vary": "Accept"}
     try:
-        choice = check_choice(
-            table, position=position, from_h=from_h, to_h=to_h, fields=fields, purpose=purpose
+        choice = Choice(
+            table=table, position=position, from_h=from_h, to_h=to_h, fields=fields, purpose=purpose
         )
         headers["Content-Disposition"] = f'attachment; filename="{choice.name}.{name}"'
         parts = exported(catalogue, fresh, choice, name, most_rows=MOST_ROWS)

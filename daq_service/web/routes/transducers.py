@@ -7,7 +7,7 @@ from dataclasses import asdict
 from fastapi import APIRouter
 
 from daq_service.alarms.states import PRIORITIES, disabled_positions
-from daq_service.assessment.position_status import data_hour, is_stale, status_of
+from daq_service.assessment.position_status import age_of, data_hour, is_stale, latest_rows, status_of
 from daq_service.catalogue.reader import LatestRows
 from daq_service.catalogue.rows import Row
 from daq_service.corrosion_drive.supply_state import read_supply_status
@@ -31,8 +31,8 @@ router = APIRouter()
 def list_transducers(context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of every position."""
     fresh = context.freshness()
-    states = context.catalogue().positions_state()
-    items = [_state(context, fresh, name, states.get(name)) for name in context.settings.positions]
+    latest = latest_rows(context.catalogue(), fresh, context.settings.positions)
+    items = [_state(context, fresh, last) for last in latest.values()]
     return JsonAnswer({"as_of": fresh.as_of(), "items": items})
 
 
@@ -45,8 +45,9 @@ def list_transducers(context: ContextOf) -> JsonAnswer:
 def get_transducer(position: str, context: ContextOf) -> JsonAnswer:
     """Return state, newest values, quality and age of one position."""
     context.checked_position(position)
-    state = context.catalogue().positions_state().get(position)
-    return JsonAnswer(_state(context, context.freshness(), position, state))
+    fresh, place = context.freshness(), {position: context.settings.positions[position]}
+    (last,) = latest_rows(context.catalogue(), fresh, place).values()
+    return JsonAnswer(_state(context, fresh, last))
 
 
 @router.get(
@@ -65,14 +66,13 @@ def get_latest_environment(context: ContextOf) -> JsonAnswer:
     )
 
 
-def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | None) -> dict[str, object]:
+def _state(context: Context, fresh: Freshness, last: LatestRows) -> dict[str, object]:
     """Return the present state of a position with its newest rows."""
-    place = context.settings.positions[name]
-    last = fresh.standing_word(stored or LatestRows(position=name, method=place.method))
+    place = context.settings.positions[last.position]
     assessment, alarms = last.last_assessment, last.active_alarms
     visible_alarms = [row for row in alarms if row.suppressed is None]
     shelves = [row.shelved_until_utc_ns for row in alarms if row.shelved_until_utc_ns is not None]
-    standing = position_standing(context.settings.positions[name], context.settings.schedule, fresh, last)
+    standing = position_standing(place, context.settings.schedule, fresh, last)
     return {
         **standing.model_dump(),
         "serial_number": place.serial_number,
@@ -81,7 +81,7 @@ def _state(context: Context, fresh: Freshness, name: str, stored: LatestRows | N
         "last_feature": _row(fresh, last.last_feature),
         "last_thickness": _row(fresh, last.last_thickness),
         "last_assessment": None if assessment is None else with_quality(context, fresh, [assessment])[0],
-        "disabled_reason": disabled_positions(alarms).get(name),
+        "disabled_reason": disabled_positions(alarms).get(last.position),
         "active_alarms": len(visible_alarms),
         "suppressed_alarms": len(alarms) - len(visible_alarms),
         "shelved_until_utc": rfc3339(min(shelves, default=None)),
@@ -93,15 +93,14 @@ def position_standing(
     place: PositionSettings, schedule: ScheduleSettings, fresh: freshness.Freshness, last: LatestRows
 ) -> PositionStanding:
     """Return the status of a position from its latest rows, with its alarms in their present state."""
-    data_h = data_hour(last)
-    age_h = None if data_h is None else fresh.age_h(data_h)
+    age_h = age_of(last, fresh)
     return PositionStanding(
         position=last.position,
         label=place.label,
         method=place.method,
         state=status_of(last),
         stale=is_stale(schedule, fresh, age_h),
-        data_h=data_h,
+        data_h=data_hour(last),
         age_h=age_h,
     )
 

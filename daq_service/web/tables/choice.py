@@ -71,14 +71,40 @@ class Choice:
     position: str | None = None
     from_h: float | None = None
     to_h: float | None = None
-    fields: tuple[str, ...] | None = None
+    fields: str | None = None
     purpose: Purposes = "planned"
+
+    def __post_init__(self) -> None:
+        if self.table not in TABLES:
+            raise UsageError(f"there is no table {self.table!r}; choose from {', '.join(TABLES)}")
+        known = [column.name for column in TABLES[self.table].columns]
+        if self.position is not None and "position" not in known:
+            raise UsageError(f"the table {self.table} has no positions; leave the position out")
+        if self.purpose != "planned" and not TABLES[self.table].unscheduled_set:
+            other_tables = ", ".join(name for name, kind in TABLES.items() if kind.unscheduled_set)
+            raise UsageError(
+                f"the table {self.table} has no sets beside the plan, {other_tables} have; leave the purpose "
+                "out"
+            )
+        if self.from_h is not None and self.to_h is not None and self.to_h < self.from_h:
+            raise UsageError(f"the range ends at {self.to_h:g} h, before {self.from_h:g} h; let it end later")
+        unknown = sorted(set(self.chosen) - set(known))
+        if self.fields is not None and (unknown or not self.chosen):
+            raise UsageError(
+                f"the table {self.table} has no field {', '.join(unknown) or '(none named)'}; "
+                f"choose from {', '.join(known)}"
+            )
+
+    @property
+    def chosen(self) -> list[str]:
+        """Names of the chosen fields; empty: all."""
+        return [part.strip() for part in (self.fields or "").split(",") if part.strip()]
 
     @property
     def columns(self) -> tuple[PublishedColumn, ...]:
         """Return the selected columns, in the order of the table."""
         all_columns = TABLES[self.table].columns
-        wanted = {column.name for column in all_columns} if self.fields is None else {*self.fields, *ALWAYS}
+        wanted = {column.name for column in all_columns} if self.fields is None else {*self.chosen, *ALWAYS}
         return tuple(column for column in all_columns if column.name in wanted)
 
     @property
@@ -86,44 +112,6 @@ class Choice:
         """Return the name of the exported file, without suffix."""
         is_planned = self.purpose == "planned"
         return "_".join(filter(None, (self.table, self.position, None if is_planned else self.purpose)))
-
-
-def check_choice(
-    table: str,
-    *,
-    position: str | None = None,
-    from_h: float | None = None,
-    to_h: float | None = None,
-    fields: str | None = None,
-    purpose: Purposes = "planned",
-) -> Choice:
-    """Check and return a selection; ``fields`` are comma-separated names.
-
-    Raises
-    ------
-    UsageError
-        There is no such table or field, the table has no positions or no unscheduled sets, or the range is
-        reversed.
-    """
-    if table not in TABLES:
-        raise UsageError(f"there is no table {table!r}; choose from {', '.join(TABLES)}")
-    known = [column.name for column in TABLES[table].columns]
-    if position is not None and "position" not in known:
-        raise UsageError(f"the table {table} has no positions; leave the position out")
-    if purpose != "planned" and not TABLES[table].unscheduled_set:
-        other_tables = ", ".join(name for name, kind in TABLES.items() if kind.unscheduled_set)
-        raise UsageError(
-            f"the table {table} has no sets beside the plan, {other_tables} have; leave the purpose out"
-        )
-    if from_h is not None and to_h is not None and to_h < from_h:
-        raise UsageError(f"the range ends at {to_h:g} h, before {from_h:g} h; let it end later")
-    names = None if fields is None else tuple(part.strip() for part in fields.split(",") if part.strip())
-    if names is not None and (not names or (unknown := sorted(set(names) - set(known)))):
-        raise UsageError(
-            f"the table {table} has no field {', '.join(unknown) if names else '(none named)'}; "
-            f"choose from {', '.join(known)}"
-        )
-    return Choice(table=table, position=position, from_h=from_h, to_h=to_h, fields=names, purpose=purpose)
 
 
 def pages(catalogue: Catalogue, fresh: Freshness, choice: Choice) -> Iterator[Columns]:

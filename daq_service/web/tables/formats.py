@@ -27,7 +27,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from daq_service.archive.table_file import table_image
-from daq_service.catalogue.published_columns import PublishedColumn
+from daq_service.catalogue.published_columns import Form, PublishedColumn
 from daq_service.errors import UsageError
 from daq_service.settings.foreign_text import spreadsheet_cell
 from daq_service.web.tables.choice import Choice, Columns
@@ -66,14 +66,14 @@ def _csv(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[byt
     writer = csv.writer(text)
     writer.writerow(names)
     for page in pages:
-        columns = [[_cell(value) for value in page[name]] for name in names]
+        columns = [[cell_text(value) for value in page[name]] for name in names]
         writer.writerows(zip(*columns, strict=True))
         yield text.getvalue().encode()
         text.seek(0)
         text.truncate()
 
 
-def _cell(value: object) -> str:
+def cell_text(value: object) -> str:
     """Return a value as a cell of a CSV file."""
     if value is None:
         return ""
@@ -160,7 +160,7 @@ def arrow_array(arrow: Arrow, of_type: Arrow, values: Sequence[object]) -> Arrow
     return arrow.array(values, type=of_type)
 
 
-def pyarrow() -> Arrow:
+def pyarrow(otherwise: str = "take csv, npz, mat or h5") -> Arrow:
     """Import and return the package pyarrow.
 
     Raises
@@ -173,25 +173,25 @@ def pyarrow() -> Arrow:
     except ImportError as error:
         raise UsageError(
             "Parquet and Arrow need the package pyarrow, which is not installed: pip install "
-            "'solimon[parquet]', or take csv, npz, mat or h5"
+            f"'solimon[parquet]', or {otherwise}"
         ) from error
     return arrow
 
 
 def _arrays(columns: Sequence[PublishedColumn], pages: Iterable[Columns]) -> dict[str, Array]:
     """Return all rows as one array per column."""
-    parts = [[as_array(column, page[column.name]) for column in columns] for page in pages]
+    parts = [[as_array(column.form, page[column.name]) for column in columns] for page in pages]
     joined = [np.concatenate(of_column) for of_column in zip(*parts, strict=True)]
     return dict(zip([column.name for column in columns], joined, strict=True))
 
 
-def as_array(column: PublishedColumn, values: list[object]) -> Array:
+def as_array(form: Form, values: list[object]) -> Array:
     """Return the values of a column as an array; missing ones are NaN, -1 or empty."""
-    if column.form == "number":
+    if form == "number":
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
-    if column.form in ("integer", "truth"):
+    if form in ("integer", "truth"):
         numbers = [-1 if value is None else value for value in values]
-        return np.array(numbers, dtype=np.int64 if column.form == "integer" else np.int8)
+        return np.array(numbers, dtype=np.int64 if form == "integer" else np.int8)
     return np.array(["" if value is None else value for value in values], dtype=np.str_)
 
 
@@ -241,7 +241,7 @@ def mat_image(name: str, arrays: Mapping[str, Array], units: Mapping[str, str], 
 def _h5(choice: Choice, facts: Facts, pages: Iterable[Columns]) -> Iterator[bytes]:
     """Yield a table as HDF5."""
     arrays = _arrays(choice.columns, pages)
-    names = choice.fields or tuple(arrays)
+    names = choice.chosen or tuple(arrays)
     numbers = [c.name for c in choice.columns if c.form == "number" and c.unit != "h" and c.name in names]
     hours = next(name for name in ("due_h", "raised_h", "from_h") if name in arrays)
     yield table_image(

@@ -53,7 +53,7 @@ def exported_records(
     arrays = {
         "time_s": records.time_s,
         "voltage_v": records.voltage_v,
-        **{column.name: formats.as_array(column, records.columns[column.name]) for column in OF_RECORD},
+        **{column.name: formats.as_array(column.form, records.columns[column.name]) for column in OF_RECORD},
     }
     if form == "npz":
         return formats.npz_image(arrays, facts)

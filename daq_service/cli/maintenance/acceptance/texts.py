@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Literal
 
 from pydantic import TypeAdapter
+
+from daq_service.shared_file import packaged_table
 
 Sense = Literal["at least", "at most"]
 
@@ -60,6 +60,4 @@ class Texts:
     criteria: Sequence[Criterion]
 
 
-TEXTS = TypeAdapter(Texts).validate_python(
-    tomllib.loads(Path(__file__).with_suffix(".toml").read_text(encoding="utf-8"))
-)
+TEXTS = TypeAdapter(Texts).validate_python(packaged_table(__file__))

@@ -15,7 +15,7 @@ from support.synthetic_records import waveform_of
 from support.waiting import until
 
 from daq_service.cli.set_up.bench import Bench
-from daq_service.cli.set_up.dialogue import Dialogue, Question, _Answer
+from daq_service.cli.set_up.dialogue import Dialogue, _Answer
 from daq_service.cli.set_up.drawn import COLUMNS, envelope
 from daq_service.cli.set_up.other_instruments import ask_for_others
 from daq_service.cli.set_up.page import served_page
@@ -26,8 +26,8 @@ from hardware_drivers.daqmx.survey import BoardFacts
 from hardware_drivers.errors import ConfigurationError, InstrumentError
 from simulator.doubles.serial.instruments import SerialInstruments
 
-HEIGHT = Question(name="height", text="Height, m", default="0.005")
-LEAVE = Question(name="B.strike", text="Strike B", default="go on", choices=("strike", "go on"))
+HEIGHT = {"name": "height", "text": "Height, m", "default": "0.005"}
+LEAVE = {"name": "B.strike", "text": "Strike B", "default": "go on", "choices": ("strike", "go on")}
 
 
 @pytest.fixture
@@ -52,7 +52,7 @@ def ask_in_thread(dialogue, question, understood=str):
     """Ask in another thread; return the queue of the answer."""
     value = queue.Queue()
     before = dialogue.number
-    threading.Thread(target=lambda: value.put(dialogue.ask(question, understood))).start()
+    threading.Thread(target=lambda: value.put(dialogue.ask(**question, parse=understood))).start()
     until(lambda: dialogue.number > before, "the question")
     return value
 
@@ -62,15 +62,15 @@ def ask_in_thread(dialogue, question, understood=str):
 
 def test_a_question_is_repeated_until_the_answer_is_valid(monkeypatch, capsys):
     monkeypatch.setattr("sys.stdin", io.StringIO("high\n0.01\n"))
-    assert Dialogue().ask(HEIGHT, float) == 0.01
+    assert Dialogue().ask(**HEIGHT, parse=float) == 0.01
     assert "could not convert string to float: 'high'" in capsys.readouterr().err
 
 
 def test_an_empty_answer_is_the_default_which_strikes_nothing(monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO("\nyes\nst\nstrike\n"))
     dialogue = Dialogue()
-    assert dialogue.ask(LEAVE, str) == "go on"
-    assert dialogue.ask(LEAVE, str) == "strike", "only the word itself"
+    assert dialogue.ask(**LEAVE, parse=str) == "go on"
+    assert dialogue.ask(**LEAVE, parse=str) == "strike", "only the word itself"
     assert [line for line in dialogue.lines if "none of" in line] == [
         "  'yes' is none of strike, go on",
         "  'st' is none of strike, go on",
@@ -80,7 +80,7 @@ def test_an_empty_answer_is_the_default_which_strikes_nothing(monkeypatch):
 def test_the_end_of_the_input_is_reported_with_the_open_question(monkeypatch):
     monkeypatch.setattr("sys.stdin", io.StringIO(""))
     with pytest.raises(UsageError, match=r"B\.strike: Strike B.*solimon setup --help"):
-        Dialogue().ask(LEAVE, str)
+        Dialogue().ask(**LEAVE, parse=str)
 
 
 def test_the_page_answers_the_question_that_waits_and_no_other(terminal):
@@ -122,10 +122,10 @@ def test_input_typed_ahead_strikes_nothing(monkeypatch):
     typed = Typed("0.004\nstrike\n")
     monkeypatch.setattr("sys.stdin", typed)
     dialogue = Dialogue()
-    assert dialogue.ask(HEIGHT, float) == 0.004
+    assert dialogue.ask(**HEIGHT, parse=float) == 0.004
     until(lambda: "terminal" not in {item.name for item in threading.enumerate()}, "both lines were typed")
     with pytest.raises(UsageError, match="nobody answers any more"):
-        dialogue.ask(LEAVE, str)
+        dialogue.ask(**LEAVE, parse=str)
 
 
 # The page --------------------------------------------------------------------------------------------
