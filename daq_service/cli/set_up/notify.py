@@ -1,4 +1,4 @@
-"""``deliver_by_apprise test``: send test messages to receivers from this computer as this user."""
+"""``notify test``: send test messages to receivers from this computer as this user."""
 
 from __future__ import annotations
 
