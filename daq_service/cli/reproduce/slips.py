@@ -208,7 +208,7 @@ def _salt_water(_: Material) -> _Numbers:
         stiff = (2.0 * math.pi * frequency_hz) ** 2 / bending
         # D k^4 = omega^2 (rho h + rho_w / k), by repeated substitution; it contracts like k^(-1/4).
         k = (stiff * surface) ** 0.25
-        for _step in range(50):
+        for _repetition in range(50):
             k = (stiff * (surface + _WATER.density_kg_per_m3 / k)) ** 0.25
         ratios.append(f"{100 * _WATER.density_kg_per_m3 / k / surface:.0f} % at {frequency_hz / 1e3:g} kHz")
     return {"ratios": ", ".join(ratios), "depth_m": _WATER.depth_m}
