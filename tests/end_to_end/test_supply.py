@@ -160,39 +160,3 @@ def test_a_hole_trips_the_interlock_and_only_a_person_resets_it(instruments, tmp
     tripped = [row.supply_tripped for row in environment(folder)]
     assert tripped[0] is None
     assert "no reflected wave" in tripped[4]
-
-
-def test_an_open_interlock_outlives_a_restart(instruments, tmp_path):
-    folder, clock = tmp_path / "data", SteppedClock()
-    thinning = {"B": {"onset_h": 0.0, "reference_h": 3.0, "depth_fraction": 0.5, "hole_h": 1.5 * SECOND_H}}
-    settings = settings_with(
-        instruments,
-        9,
-        off_at_end=False,
-        twin={"thinning": thinning, "update_interval_s": 1.0},
-        alarms={"hole_shots": 2},
-    )
-    assert not run(settings, folder, orders={1: ("supply_on", {})}, stop_after=4, clock=clock)
-    assert switchings(instruments) == [(True, "command"), (False, "command")]
-    # The key at the supply is pressed while no recorder runs.
-    instruments.supply_link.do(lambda: instruments.supply.press_output_key(True))
-    assert run(settings, folder, clock=clock)
-    assert [on for on, _ in switchings(instruments)] == [True, False, True, False]
-    assert not instruments.supply.on
-    assert environment(folder)[-1].supply_tripped is not None
-
-
-def test_silence_is_unknown_and_trips_the_interlock_once_it_answers(instruments, tmp_path):
-    folder = tmp_path / "data"
-    actions = {2: instruments.supply_link.unplug, 5: instruments.supply_link.plug}
-    assert run(
-        settings_with(instruments, 8), folder, orders={1: ("supply_on", {"voltage_v": 6.0})}, act=actions
-    )
-    states = [row.supply_state for row in environment(folder)]
-    assert "unknown" in states, "an output nobody can ask is not told as off"
-    assert switchings(instruments)[:2] == [(True, "command"), (False, "command")]
-    assert sum(on for on, _ in switchings(instruments)) == 1, "it was never switched on again"
-    found = alarms(folder)
-    assert found["supply_not_responding"].state == "returned_unacknowledged"
-    assert found["interlock_tripped"].state == "unacknowledged"
-    assert environment(folder)[-1].unknown_s > 0.0
