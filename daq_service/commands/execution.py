@@ -86,7 +86,7 @@ class CommandExecutor:
         try:
             self.close("the recorder has ended")
         except (StorageError, OSError) as error:
-            log.warning("open orders are not answered; the next recorder does it: %s", error)
+            log.warning("open commands are not answered; the next recorder does it: %s", error)
 
     def listen(self) -> None:
         """Execute the waiting commands; a rejected one is answered with the reason."""
@@ -105,7 +105,7 @@ class CommandExecutor:
         self._catalogue.finish_command(row.id, *answer)
         self._answers.pop(row.id, None)
         if answer[0] in ("expired", "failed"):
-            log.warning("order %d (%s) of %s: %s: %s", row.id, row.kind, row.author, *answer)
+            log.warning("command %d (%s) of %s: %s: %s", row.id, row.kind, row.author, *answer)
 
     def _execute(self, row: CommandRow) -> Answer | None:
         """Execute a command and return its state and result; None if they are stored with its changes.
@@ -134,7 +134,7 @@ class CommandExecutor:
         if callable(result):
             self._awaited[row.id] = result
             return self._poll_answer(row, result)
-        log.info("order %d (%s) of %s: %s", row.id, row.kind, row.author, result)
+        log.info("command %d (%s) of %s: %s", row.id, row.kind, row.author, result)
         if not transactions:
             return "done", result
         (transaction,) = transactions

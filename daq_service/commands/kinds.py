@@ -31,8 +31,8 @@ Hour = Annotated[float, Field(ge=-LARGEST_HOUR, le=LARGEST_HOUR, allow_inf_nan=F
 SEEN = {"pattern": WRITTEN.pattern}
 Author = Annotated[
     str,
-    Field(min_length=1, max_length=80, description="Who gives the order", json_schema_extra=SEEN),
-    AfterValidator(partial(require_written, message="name the person who gives the order")),
+    Field(min_length=1, max_length=80, description="Person who gives the command", json_schema_extra=SEEN),
+    AfterValidator(partial(require_written, message="name the person who gives the command")),
 ]
 
 
@@ -108,7 +108,7 @@ class Strict(BaseModel):
 
 
 class NoArguments(Strict):
-    """The order needs none."""
+    """The command needs none."""
 
 
 class NoteArguments(Strict):
@@ -200,7 +200,7 @@ class Command(Strict):
         if self.needs_recorder and (ended or not facts.recorded):
             return Refusal(
                 f"{ended or 'nobody records this test'}: nobody would carry this out",
-                "Start it with `solimon run` or `solimon record`, then give the order again.",
+                "Start it with `solimon run` or `solimon record`, then send the command again.",
             )
         return self._forbidden(facts)
 
@@ -272,7 +272,7 @@ class Stop(Command):
 
 
 class StoredCommand(Command):
-    """An order about what is stored: where nobody records, the web service carries it out."""
+    """Command about what is stored; without a recorder the web service executes it."""
 
     needs_recorder = False
     rows_only = True
@@ -473,7 +473,7 @@ class _SupplyCommand(Command):
 
 
 class SupplyOn(_SupplyCommand):
-    """Switch the corrosion drive on; only a person's order ever does."""
+    """Switch the corrosion drive on; only a person's command does."""
 
     kind: Literal["supply_on"]
     author: Author

@@ -36,7 +36,7 @@ def parse_command(kind: str, author: str, arguments: Mapping[str, object]) -> Co
         An unknown kind, or what is wrong with its author or arguments.
     """
     if kind not in KINDS:
-        raise UsageError(f"unknown order {kind!r}; there are {', '.join(KINDS)}")
+        raise UsageError(f"unknown command {kind!r}; there are {', '.join(KINDS)}")
     try:
         return KINDS[kind].model_validate({"kind": kind, "author": author, "arguments": arguments})
     except ValidationError as error:

@@ -130,5 +130,5 @@ class RunningTest(StoredTest):
     @property
     def switch(self) -> SupplySwitch:
         """Return the switch of a test that has a supply."""
-        assert self.supply is not None, "a test without one forbids the order"
+        assert self.supply is not None, "a test without one forbids the command"
         return self.supply

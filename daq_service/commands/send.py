@@ -108,12 +108,12 @@ def _require_recorder(folder: Path, catalogue: Catalogue) -> None:
     if recorder.status == "running" and not recorder.listens:
         raise BusyError(
             f"the recorder of {folder} is {recorder.description.removeprefix('running, ')}: nothing "
-            "strikes, and it hears no orders before its rig is open; give the order again then, or stop it"
+            "strikes, and it accepts no commands before its rig is open; send the command again then, or stop it"
         )
     if not recorder.listens:
         raise BusyError(
             f"no recorder runs on {folder}: nothing strikes, and nobody would carry this out; start it with "
-            "`solimon run` or `solimon record`, then give the order again"
+            "`solimon run` or `solimon record`, then send the command again"
         )
 
 

@@ -83,7 +83,7 @@ class Waiting:
 
     def linger(self) -> None:
         """Listen to the operator, strike nothing, until ``stop`` is set."""
-        self.activity.doing = "waiting for orders; every set is taken"
+        self.activity.doing = "waiting for commands; every set is taken"
         self.free_until_ns = math.inf
         while self.between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s)

@@ -335,7 +335,6 @@ class ShotModel:
     def _over_wall(
         self, chains: list[Chain], depth: float, modulus: float, contact_forces: bool
     ) -> list[ShotForce]:
-
         def specimen(step: float, wide: bool) -> Propagator:
             return self._propagator(depth, step, wide, modulus)
 

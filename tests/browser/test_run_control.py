@@ -219,7 +219,9 @@ def test_a_name_is_requested_once_and_remembered(filled, service, open_page):
         expect(dialog).to_contain_text("marked as claimed")
         if name is None:
             page.keyboard.press("Escape")
-            expect(page.locator("#notice")).to_contain_text("an order bears the name of whoever gives it")
+            expect(page.locator("#notice")).to_contain_text(
+                "a command bears the name of the person who gives it"
+            )
             assert filled.catalogue.open_commands() == []
         else:
             page.keyboard.type(name)

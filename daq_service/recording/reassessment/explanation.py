@@ -164,7 +164,7 @@ def _not_of_records(alarm: AlarmRow) -> str:
     if alarm.position is None:
         return "it is about the test as a whole, not about the records of a position"
     if alarm.raised_set_index is None:
-        return "no set raised it, but a person's order or an instrument"
+        return "no set raised it, but a person's command or an instrument"
     return ""
 
 

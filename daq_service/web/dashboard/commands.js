@@ -55,5 +55,5 @@ export async function awaitResult(row, report) {
     await new Promise((resolve) => setTimeout(resolve, POLL_MS));
     row = await get(`/commands/${row.id}`);
   }
-  throw new Error(`the recorder began to ${row.kind} and has not answered; look before you order it again`);
+  throw new Error(`the recorder began to ${row.kind} and has not answered; look before you send it again`);
 }

@@ -24,7 +24,7 @@ router = APIRouter(tags=["tokens"])
 class TokenRequest(Strict):
     """Body of a request for a new token: name, role and lifetime."""
 
-    name: str = Field(min_length=1, max_length=40, description="Who will use it; orders bear this name")
+    name: str = Field(min_length=1, max_length=40, description="Who will use it; commands bear this name")
     role: Role
     days: float | None = Field(default=None, gt=0.0, le=36_500.0, description="Until it expires; null: never")
 

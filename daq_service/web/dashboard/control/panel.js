@@ -24,7 +24,7 @@ function number(name, label, value, maximum) {
 function supplyEndText(supply) {
   const endText = supply.off_at_end ? " at the end of the test," : "";
   return (
-    `It goes off by the order below, at ${significant(supply.interlock_current_a)} A or more ` +
+    `It goes off by the command below, at ${significant(supply.interlock_current_a)} A or more ` +
     `(interlock),${endText} and ${duration(supply.watchdog_timeout_s)} after the recorder is gone. Once off ` +
     "it never goes on again by itself."
   );

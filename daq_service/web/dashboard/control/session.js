@@ -35,7 +35,7 @@ export function denialReason() {
  */
 export async function authorName() {
   const name = session.name ?? localStorage.getItem(NAME_KEY) ?? (await askName());
-  if (!name) throw new Error("nothing was sent: an order bears the name of whoever gives it");
+  if (!name) throw new Error("nothing was sent: a command bears the name of the person who gives it");
   return name;
 }
 
@@ -43,7 +43,7 @@ async function askName() {
   const answers = await askConfirmation({
     title: "Your name",
     paragraphs: [
-      "Orders and the audit bear it, marked as claimed: without tokens nobody checks it. This browser remembers it.",
+      "Commands and the audit log bear it, marked as claimed: without tokens nobody checks it. This browser remembers it.",
     ],
     submitLabel: "Use this name",
     fields: [

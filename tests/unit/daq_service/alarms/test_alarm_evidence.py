@@ -103,7 +103,7 @@ MOST_LISTED: dict[str, str] = {
         Set 12 has 9 shots without a reflected wave.
         The alarm takes 7 such shots in a set, 2 sets running.""",
     "few_valid_shots": "2 sets running, the last one set 8, have fewer than 7 valid shots.",
-    "transducer_disabled": "A person ordered it (order 5); the message says who and why.",
+    "transducer_disabled": "A person commanded it (command 5); the message states who and why.",
     "instruments_unavailable": "In set 3 the instruments' driver raised ConnectionLostError.",
     "data_corrupt": "c.h5: is gone. Set aside, damaged and without rows: a.h5, b.h5.",
     "supply_current_limit": """

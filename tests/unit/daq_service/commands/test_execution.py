@@ -404,7 +404,7 @@ def test_a_command_that_this_test_cannot_execute_is_rejected(bare, kind, argumen
 def test_an_unknown_command_is_rejected_and_the_next_one_executed(bench):
     state, message = bench.execute("self_destruct")
     assert state == "rejected"
-    assert message.startswith("unknown order 'self_destruct'; there are finish_now, stop, ")
+    assert message.startswith("unknown command 'self_destruct'; there are finish_now, stop, ")
     state, message = bench.execute("disable", positon="B")
     assert state == "rejected"
     assert "arguments.position" in message

@@ -197,7 +197,7 @@ def test_a_command_without_an_author_does_not_switch_the_supply_on():
 @pytest.mark.parametrize(
     ("kind", "arguments", "message"),
     [
-        ("jump", {}, "unknown order 'jump'; there are finish_now, stop, acknowledge_alarm, pause, resume"),
+        ("jump", {}, "unknown command 'jump'; there are finish_now, stop, acknowledge_alarm, pause, resume"),
         ("disable", {}, "arguments.position: Field required"),
         ("pause", {}, "arguments.note: Field required"),
         ("pause", {"note": " \t"}, "arguments.note: Value error, say why the test is paused"),
