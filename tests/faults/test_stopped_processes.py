@@ -47,10 +47,10 @@ import os, sys
 from daq_service.processes import heartbeat
 heartbeat.WEB_DEADLINE_S = 2.0
 if "record" in sys.orig_argv and os.path.exists(os.environ["BREAKS"]):
-    from daq_service.recording import recorder
-    def raises(*_, **__):
-        raise RuntimeError("the digitizer's driver has a fault of its own")
-    recorder.take_set = raises
+    from unittest.mock import patch
+    from daq_service.recording import acquire_set
+    fault = RuntimeError("the digitizer's driver has a fault of its own")
+    patch.object(acquire_set, "take_set", side_effect=fault).start()
 """
 """What each process does first: a shorter deadline, and a driver that raises at each shot where one asks."""
 
