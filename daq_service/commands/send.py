@@ -107,8 +107,8 @@ def _require_recorder(folder: Path, catalogue: Catalogue) -> None:
     recorder = read_recorder_state(folder, [event.kind] if event else [])
     if recorder.status == "running" and not recorder.listens:
         raise BusyError(
-            f"the recorder of {folder} is {recorder.description.removeprefix('running, ')}: nothing "
-            "strikes, and it accepts no commands before its rig is open; send the command again then, or stop it"
+            f"the recorder of {folder} is {recorder.description.removeprefix('running, ')}: nothing strikes, "
+            "and it accepts no commands before its rig is open; send the command again then, or stop it"
         )
     if not recorder.listens:
         raise BusyError(
