@@ -289,7 +289,9 @@ class Catalogue:
     ) -> list[R]:
         """Read the rows of a query."""
         with self.reading() as connection:
-            return with_rows(connection, _rows_of(connection, kind, statement, required))
+            return with_rows(
+                connection, _rows_with(kind, required, checked_rows(connection, kind, statement))
+            )
 
     def _newest_row(self, kind: type[R], condition: sa.ColumnElement[bool] | None = None) -> R | None:
         """Return the last stored row that meets a condition; None if there is none."""
@@ -519,11 +521,9 @@ def _refuse_others(
                 )
 
 
-def _rows_of(
-    connection: sa.Connection, kind: type[R], statement: sa.Select[Any], required: Mapping[str, object]
-) -> list[R]:
-    """Return the rows of a query; raise DamagedRow at one without the required values."""
-    rows = list(checked_rows(connection, kind, statement))
+def _rows_with(kind: type[R], required: Mapping[str, object], found: Iterable[R]) -> list[R]:
+    """Return rows as a list; raise DamagedRow at one without the required values."""
+    rows = list(found)
     _refuse_others(kind, required, lambda name: (getattr(row, name) for row in rows))
     return rows
 
@@ -567,7 +567,8 @@ def _of_kind(kind: type[Row], limit: int | None, filters: Filters) -> sa.Select[
 def _newest(connection: sa.Connection, kind: type[OfSet]) -> dict[str, OfSet]:
     """Return the row of the highest set index of each position in ``sets``."""
     required = _required_of(kind, {"scope": "set"})
-    return {row.position: row for row in _rows_of(connection, kind, _newest_of(TABLES[kind]), required)}
+    newest = checked_rows(connection, kind, _newest_of(TABLES[kind]))
+    return {row.position: row for row in _rows_with(kind, required, newest)}
 
 
 # Statements of several steps: building one takes longer than executing it ------------------------------
