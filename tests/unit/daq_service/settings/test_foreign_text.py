@@ -14,6 +14,7 @@ from daq_service.cli.main import main
 from daq_service.cli.reproduce.item import Table
 from daq_service.cli.reproduce.output import csv_bytes
 from daq_service.cli.sweep.outputs import csv_text
+from daq_service.cli.sweep.table import SweepTable
 from daq_service.cli.terminal import ProgressReport
 from daq_service.processes.child import log_to
 from daq_service.settings.foreign_text import plain_output
@@ -75,7 +76,11 @@ def test_no_spreadsheet_executes_a_text(text):
     columns = [SimpleNamespace(name=name) for name in ("text", "number", "whole")]
     page = {"text": [text, "a=1", None], "number": [-1.5, 2.0, None], "whole": [-3, 4, None]}
     exported = b"".join(FORMATS["csv"].write(SimpleNamespace(columns=columns), {}, [page])).decode()
-    swept = csv_text(SimpleNamespace(columns={"text": [text], "number": np.array([-1.5])}))
+    swept = csv_text(
+        SweepTable(
+            swept={"text": [text]}, results={"number": np.array([-1.5])}, status=["ok"], forces=None, facts={}
+        )
+    )
     reproduced = csv_bytes(Table(columns={"text": [text], "number": [-1.5]})).decode()
     assert list(csv.reader(io.StringIO(exported, newline="")))[1:] == [
         [f"'{text}", "-1.5", "-3"],
@@ -83,4 +88,4 @@ def test_no_spreadsheet_executes_a_text(text):
         ["", "", ""],
     ]
     for content in (swept, reproduced):
-        assert list(csv.reader(io.StringIO(content, newline="")))[1] == [f"'{text}", "-1.5"]
+        assert list(csv.reader(io.StringIO(content, newline="")))[1][:2] == [f"'{text}", "-1.5"]
