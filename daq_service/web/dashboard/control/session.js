@@ -43,7 +43,8 @@ async function askName() {
   const answers = await askConfirmation({
     title: "Your name",
     paragraphs: [
-      "Commands and the audit log bear it, marked as claimed: without tokens it is not checked. The browser remembers it.",
+      "Commands and the audit log bear it, marked as claimed: without tokens it is not checked.",
+      "The browser remembers it.",
     ],
     submitLabel: "Use this name",
     fields: [
