@@ -20,6 +20,7 @@ from typing import Any
 import h5py
 import numpy as np
 
+from daq_service.archive.reader import read_file
 from daq_service.catalogue.earlier_names import COLUMNS, TOPICS, current_row
 from daq_service.catalogue.reported_rows import ROW_OF_EVENT
 
@@ -94,7 +95,10 @@ def without_zeros(row: dict[str, Any], left_out: Set[str] = frozenset()) -> dict
 
 
 def datasets(folder: Path) -> Iterator[tuple[str, bytes, str]]:
-    """Yield name, bytes and attributes of every dataset of every file, except the provenance."""
+    """Yield name, bytes and attributes of every dataset of every file, except the provenance.
+
+    Truth and settings are compared by record: up to format 1.6 each position has groups of its own for them.
+    """
     for path in sorted((folder / "sets").glob("*.h5")):
         found: list[tuple[str, bytes, str]] = []
 
@@ -102,18 +106,21 @@ def datasets(folder: Path) -> Iterator[tuple[str, bytes, str]]:
             if (
                 isinstance(item, h5py.Dataset)
                 and not name.startswith("entry/provenance")
+                and not name.split("/")[1].endswith(("truth", "settings"))
                 and name.rpartition("/")[2]
                 not in (ADDED | NUMBER | (BY_KEY if of_file.count("_") > 2 else set()))
             ):
                 attributes = {key: np.asarray(value).tolist() for key, value in sorted(item.attrs.items())}
                 content = np.asarray(item[()])
-                # Strings of any length are held as pointers, which no two runs share.
-                data = repr(content.tolist()).encode() if content.dtype.hasobject else content.tobytes()
+                # Strings of any length are held as pointers, fixed ones end with zeros up to some length.
+                is_text = content.dtype.hasobject or content.dtype.kind == "S"
+                data = repr(content.tolist()).encode() if is_text else content.tobytes()
                 into.append((f"{of_file}/{name}", data, str(attributes)))
 
         with h5py.File(path, "r") as file:
             file.visititems(visit)
-        yield from found
+        facts = [(item.sequence, dict(item.truth), dict(item.settings)) for item in read_file(path).records]
+        yield from [*found, (f"{path.name}/facts", repr(facts).encode(), "")]
 
 
 def main() -> int:

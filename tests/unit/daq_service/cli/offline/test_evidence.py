@@ -349,7 +349,7 @@ def test_an_alarm_from_a_command_is_shown_as_stored(life, tmp_path):
         explain(life.folder, alarm_id_of(life, "transducer_disabled", "C"), tmp_path, "--json").stdout
     )
     assert (explanation["agrees"], explanation["recomputed"]) == (None, None)
-    assert "a person's order" in explanation["why_not_recomputed"]
+    assert "a person's command" in explanation["why_not_recomputed"]
     assert "a loose cable" in explanation["alarm"]["message"]
     assert "alarm_reset" in [item["kind"] for item in explanation["history"]]
     assert "This alarm is not recomputed" in (
