@@ -292,6 +292,10 @@ def test_an_unscheduled_set_of_revision_0015_gets_its_own_column(tmp_path):
             assert EventRow(**current_row("events", line)) == event, "a line of the history is the same row"
 
 
+STATES_0016 = {"B/running": '{"averages":{"chart":[0.25]}}', "B/frozen": '{"chart":{"limit":59.0}}'}
+"""In a frozen state `chart` is no name of a limit."""
+
+
 def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path):
     path, earlier = tmp_path / "catalogue.sqlite", EARLIER["0016"]
     upgrade(path, "0016")
@@ -330,8 +334,9 @@ def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path)
             **earlier["assessment"],
         )
         insert(database, "alarms", id=1, evidence=earlier["evidence"], **EARLIER["0015"]["alarm"])
-        insert(database, "assessor_states", place="B/running", position="B", configuration_hash="ab",
-               format=1, state='{"averages":{"chart":[0.25]}}')  # fmt: skip
+        for place, state in STATES_0016.items():
+            insert(database, "assessor_states", place=place, position="B", configuration_hash="ab",
+                   format=1, state=state)  # fmt: skip
         for number, (topic, kind, payload) in enumerate(earlier["events"], start=1):
             insert(database, "events", id=number, utc_ns=1, wall_utc_ns=2, topic=topic, kind=kind,
                    payload=payload)  # fmt: skip
@@ -344,7 +349,9 @@ def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path)
         assert assessment.averages == {"mewma_textbook": [0.5], "mewma": [0.25]}
         (alarm,) = catalogue.rows(AlarmRow)
         assert alarm.evidence == {"limit_name": "mewma", "raised_by": "mewma", "limit": 59.0}
-        assert [row.state for row in catalogue.rows(AssessorStateRow)] == ['{"averages":{"mewma":[0.25]}}']
+        assert {row.place: row.state for row in catalogue.rows(AssessorStateRow)} == STATES_0016 | {
+            "B/running": '{"averages":{"mewma":[0.25]}}'
+        }
         assert catalogue.paused() == "held by ann: door open"
         events = catalogue.rows(EventRow)
         for event, (topic, kind, payload) in zip(events[:3], earlier["events"], strict=False):
