@@ -19,8 +19,9 @@ def upgrade() -> None:
     for table, names in _WITH_LIMITS.items():
         for name in names:
             _rename_key(table, name, "chart", "mewma")
-    # In a frozen state `chart` is the chart itself, not the name of a limit.
-    _rename_key("assessor_states", "state", "chart", "mewma", "place LIKE '%/running'")
+    _rename_key("assessor_states", "state", "chart", "mewma")
+    # An object of this name is the chart itself, not its limit or average.
+    op.execute("""UPDATE assessor_states SET state = replace(state, '"mewma"\\:{', '"chart"\\:{')""")
     op.execute("UPDATE assessments SET limit_name = 'mewma', row_crc32 = NULL WHERE limit_name = 'chart'")
     for name in ("limit_name", "raised_by"):
         _rename_value("alarms", "evidence", name)

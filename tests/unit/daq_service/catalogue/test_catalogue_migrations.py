@@ -292,8 +292,11 @@ def test_an_unscheduled_set_of_revision_0015_gets_its_own_column(tmp_path):
             assert EventRow(**current_row("events", line)) == event, "a line of the history is the same row"
 
 
-STATES_0016 = {"B/running": '{"averages":{"chart":[0.25]}}', "B/frozen": '{"chart":{"limit":59.0}}'}
-"""In a frozen state `chart` is no name of a limit."""
+STATES_0016 = {
+    "B/running": '{"averages":{"chart":[0.25]}}',
+    "B/frozen": '{"limits":{"chart":59.0},"chart":{"mean":0}}',
+}
+"""An object `chart` is the chart itself."""
 
 
 def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path):
@@ -349,8 +352,9 @@ def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path)
         assert assessment.averages == {"mewma_textbook": [0.5], "mewma": [0.25]}
         (alarm,) = catalogue.rows(AlarmRow)
         assert alarm.evidence == {"limit_name": "mewma", "raised_by": "mewma", "limit": 59.0}
-        assert {row.place: row.state for row in catalogue.rows(AssessorStateRow)} == STATES_0016 | {
-            "B/running": '{"averages":{"mewma":[0.25]}}'
+        assert {row.place: row.state for row in catalogue.rows(AssessorStateRow)} == {
+            "B/running": '{"averages":{"mewma":[0.25]}}',
+            "B/frozen": '{"limits":{"mewma":59.0},"chart":{"mean":0}}',
         }
         assert catalogue.paused() == "held by ann: door open"
         events = catalogue.rows(EventRow)
