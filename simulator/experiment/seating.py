@@ -186,7 +186,13 @@ def seat_of_set(
     hour_h: float,
     warmer_k: float,
 ) -> Seat:
-    """Find where a set's shots scatter about; `warmer_k` as of `nuisance.TransducerNuisance.at`."""
+    """Return the state that all shots of a set share: place of each source, wear, temperatures and liquid.
+
+    Parameters
+    ----------
+    warmer_k
+        Temperature of the transducer over the mean one without the climate, K.
+    """
     parameters, sources = NUISANCE[level], _sources(level, chain)
     size, n = sources.set_sd.size, chain.bodies
     slow = draw_slow_drift(

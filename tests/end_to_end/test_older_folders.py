@@ -19,7 +19,8 @@ from daq_service.settings.file import load_settings
 
 FOLDERS = Path(__file__).parents[1] / "fixtures" / "folders"
 TRANSDUCER, PROBE_TOO = FOLDERS / "transducer.toml", FOLDERS / "transducer_and_probe.toml"
-CONFIGURATION_OF = {"9c4a9b9": PROBE_TOO, "ab39956": TRANSDUCER, "c3c2e28": TRANSDUCER}
+CONFIGURATION_OF = dict.fromkeys(("ab39956", "c3c2e28", "29a2d7d5"), TRANSDUCER) | {"9c4a9b9": PROBE_TOO}
+EXTRACTOR_OF = {"29a2d7d5": "1.8"}
 TO_THE_END = {"schedule": {"end_h": 2.0}}
 SETS = 20
 FINAL_TABLES = ("experiment", "sets", "shots", "features", "thickness", "baselines", "events")
@@ -45,15 +46,15 @@ CAME_LATER |= {"diagnosis", "diagnosis_probability", "diagnosis_details"}
 
 @pytest.fixture
 def unpack(tmp_path, monkeypatch):
-    """Return a function that copies the folder of a commit, with the most common extractor version.
+    """Return a function that copies the folder of a commit, with its extractor version, by default 1.1.
 
     Later ones flag more and measure the same: everything else of these folders can be gone on with.
     """
-    # In this order: what is imported here for the first time must find the true version.
-    for module in ("daq_service.assessment.solitary_wave", "analysis.waves.features"):
-        monkeypatch.setattr(f"{module}.EXTRACTOR_VERSION", "1.1")
 
     def copy(commit):
+        # In this order: what is imported here for the first time must find the true version.
+        for module in ("daq_service.assessment.solitary_wave", "analysis.waves.features"):
+            monkeypatch.setattr(f"{module}.EXTRACTOR_VERSION", EXTRACTOR_OF.get(commit, "1.1"))
         folder = tmp_path / commit
         with tarfile.open(FOLDERS / f"{commit}.tar.xz") as archive:
             archive.extractall(folder, filter="data")
@@ -67,17 +68,20 @@ def settings_of(commit, **tables):
 
 
 def parsed(name, value):
-    """Return a stored value; a payload as an object."""
-    return json.loads(value) if name == "payload" else value
+    """Return a stored value; a payload and limits as objects."""
+    return json.loads(value) if name in ("payload", "limits") and value else value
 
 
 def stored_rows(folder):
-    """Return rows as stored in the file of any revision, with current names."""
+    """Return rows as stored in the file of any revision, with current names, which their checksums follow."""
     database = sqlite3.connect(folder / "catalogue.sqlite")
     database.row_factory = sqlite3.Row
     rows = {
         table: [
-            current_row(table, {name: parsed(name, value) for name, value in dict(row).items()})
+            current_row(
+                table,
+                {name: parsed(name, value) for name, value in dict(row).items() if name != "row_crc32"},
+            )
             for row in database.execute(f"SELECT * FROM {table} ORDER BY rowid")
         ]
         for table in FINAL_TABLES
@@ -130,6 +134,12 @@ def test_a_folder_of_an_earlier_version_goes_on_under_its_own_hash(unpack, commi
     assert last["versions"]["twin"] == "1"
 
 
+def test_a_folder_with_a_frozen_baseline_and_stored_states_goes_on(unpack):
+    rows = goes_on(unpack("29a2d7d5"), "29a2d7d5")
+    (baseline,) = rows["baselines"]
+    assert baseline["limits"]["mewma"] > 0.0, "the name of schema 0017"
+
+
 def test_a_continued_run_has_the_rows_of_an_uninterrupted_one(unpack, tmp_path):
     folder, whole = unpack("9c4a9b9"), tmp_path / "whole"
     assert run(settings_of("9c4a9b9"), folder)
@@ -162,9 +172,9 @@ def test_another_extractor_is_refused_before_the_catalogue_is_migrated(unpack):
 
 
 def test_the_first_catalogue_is_migrated_by_the_recorder_that_goes_on(unpack, monkeypatch):
+    folder = unpack("c3c2e28")
     # As if the extractor had stayed what it was: everything else of this folder can be gone on with.
     monkeypatch.setattr("analysis.waves.features.EXTRACTOR_VERSION", "1.0")
-    folder = unpack("c3c2e28")
     check_owner(settings_of("c3c2e28"), folder)
     rows = goes_on(folder, "c3c2e28")
     assert {row["n_missed"] for row in rows["sets"]} == {0}

@@ -239,24 +239,23 @@ NUMBER = 20_000_003
 """Set 3.2 in schema 0015 and earlier."""
 
 
+SET_0015 = EARLIER["0015"]["set"]
+
+
+def insert_first_set(database, crc32):
+    """Insert a test and its set 3 at position B."""
+    insert(database, "experiment", id=1, name="t", configuration_hash="ab", configuration={}, uuid="u",
+           created_utc_ns=1, epoch_utc_ns=7, clock="wall", solimon_version="0")  # fmt: skip
+    insert(database, "sets", id=1, set_index=3, position="B", due_h=1.5, row_crc32=crc32, **SET_0015)
+
+
 def test_an_unscheduled_set_of_revision_0015_gets_its_own_column(tmp_path):
     path, earlier = tmp_path / "catalogue.sqlite", EARLIER["0015"]
     upgrade(path, "0015")
-    scheduled = SetRow(id=1, set_index=3, position="B", due_h=1.5, **EARLIER["0015"]["set"])
+    scheduled = SetRow(id=1, set_index=3, position="B", due_h=1.5, **SET_0015)
     crc32 = row_crc32(scheduled)
     with closing(sqlite3.connect(path)) as database, database:
-        insert(database, "experiment", id=1, name="t", configuration_hash="ab", configuration={}, uuid="u",
-               created_utc_ns=1, epoch_utc_ns=7, clock="wall", solimon_version="0")  # fmt: skip
-        insert(
-            database,
-            "sets",
-            id=1,
-            set_index=3,
-            position="B",
-            due_h=1.5,
-            **EARLIER["0015"]["set"],
-            row_crc32=crc32,
-        )
+        insert_first_set(database, crc32)
         for number, (table, row) in enumerate(earlier["rows"].items(), start=2):
             key = {"sequence": 7} if table == "shots" else {"id": number}
             reference = {"sequence": 7} if table in ("features", "thickness") else {}
@@ -302,31 +301,11 @@ STATES_0016 = {
 def test_reasons_limits_and_pauses_of_revision_0016_have_current_names(tmp_path):
     path, earlier = tmp_path / "catalogue.sqlite", EARLIER["0016"]
     upgrade(path, "0016")
-    done = SetRow(id=1, set_index=3, position="B", due_h=1.5, **EARLIER["0015"]["set"])
+    done = SetRow(id=1, set_index=3, position="B", due_h=1.5, **SET_0015)
     crc32 = row_crc32(done)
     with closing(sqlite3.connect(path)) as database, database:
-        insert(database, "experiment", id=1, name="t", configuration_hash="ab", configuration={}, uuid="u",
-               created_utc_ns=1, epoch_utc_ns=7, clock="wall", solimon_version="0")  # fmt: skip
-        insert(
-            database,
-            "sets",
-            id=1,
-            set_index=3,
-            position="B",
-            due_h=1.5,
-            **EARLIER["0015"]["set"],
-            row_crc32=crc32,
-        )
-        insert(
-            database,
-            "sets",
-            id=2,
-            set_index=4,
-            position="B",
-            due_h=2.0,
-            **EARLIER["0015"]["set"],
-            cause="no trigger",
-        )
+        insert_first_set(database, crc32)
+        insert(database, "sets", id=2, set_index=4, position="B", due_h=2.0, cause="no trigger", **SET_0015)
         insert(
             database,
             "assessments",
