@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 
 import pytest
+from test_identifiers import refused
 
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "daq_service/web/dashboard"
@@ -13,7 +14,6 @@ FILES = [
     if path.suffix in {".js", ".css", ".html"} and "vendor" not in path.parts
 ]
 WIDTH = 120
-REFUSED = (ROOT / "tests/architecture/refused_words.txt").read_text(encoding="utf-8").split()
 # Prettier puts spaces around a division: a slash without one starts a regular expression.
 CODE = re.compile(
     r"""//[^\n]*|/\*.*?\*/|"(?:\\.|[^"\\])*"|'(?:\\.|[^'\\])*'"""
@@ -57,13 +57,6 @@ def names_of(path):
     return {name for value in re.findall(r'(?:id|class|for)="([^"]+)"', content) for name in value.split()}
 
 
-def refused_words_in(name):
-    """Return the refused words that a name has, in camel, snake or kebab case."""
-    words = [word.lower() for word in re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+", name)]
-    found = [word for word in words if {word, word.removesuffix("s")}.intersection(REFUSED)]
-    return found + [word for word in words[1:][-1:] if f"*_{word}" in REFUSED]
-
-
 def test_no_line_of_the_page_is_long():
     assert len(FILES) > 60
     long = [
@@ -77,7 +70,7 @@ def test_no_line_of_the_page_is_long():
 
 def test_no_name_of_the_page_has_a_refused_word():
     found = {(name, path.name) for path in FILES for name in {path.stem, *names_of(path)}}
-    assert {(name, file) for name, file in found if refused_words_in(name)} == set()
+    assert {(name, file) for name, file in found if refused(name.replace("-", "_"))} == set()
 
 
 @pytest.mark.parametrize(
@@ -90,17 +83,3 @@ def test_no_name_of_the_page_has_a_refused_word():
 )
 def test_names_are_those_of_the_code_alone(script, names):
     assert names_of_script(script) == names
-
-
-@pytest.mark.parametrize(
-    ("name", "words"),
-    [
-        ("toldAt", ["told"]),
-        ("verdicts", ["verdicts"]),
-        ("retired_because", ["because"]),
-        ("becauseOf", []),
-        ("aside", []),
-    ],
-)
-def test_words_are_found_in_any_case(name, words):
-    assert refused_words_in(name) == words

@@ -42,12 +42,7 @@ from hardware_drivers.conformance.pulse_echo_unit_contract import PulseEchoUnitC
 from hardware_drivers.conformance.striker_contract import StrikerContract
 from hardware_drivers.errors import ConfigurationError, InstrumentError
 from hardware_drivers.instruments import Acquired, Echo, require_timeout
-from hardware_drivers.measurement import (
-    ClimateReading,
-    ShotKey,
-    Stamp,
-    SupplyReading,
-)
+from hardware_drivers.measurement import ClimateReading, ShotKey, Stamp, SupplyReading
 from simulator.clock import SimulatedClock
 
 EPOCH_NS = 10**18

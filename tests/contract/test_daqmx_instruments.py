@@ -29,12 +29,13 @@ def rig(request, doubles, transport):
     assert record["reservations"] == {}
 
 
-@pytest.fixture
-def unknown_key():
-    return ShotKey(position="nowhere", set_index=0, shot_index=0)
+class Unwired:
+    @pytest.fixture
+    def unknown_key(self):
+        return ShotKey(position="nowhere", set_index=0, shot_index=0)
 
 
-class TestDaqmxDigitizer(DigitizerContract):
+class TestDaqmxDigitizer(Unwired, DigitizerContract):
     @pytest.fixture
     def digitizer(self, rig):
         return rig.digitizer
@@ -47,12 +48,8 @@ class TestDaqmxDigitizer(DigitizerContract):
     def keys(self):
         return tuple(ShotKey(position="C", set_index=3, shot_index=i) for i in (0, 1))
 
-    @pytest.fixture
-    def unknown_key(self, unknown_key):
-        return unknown_key
 
-
-class TestDaqmxStriker(StrikerContract):
+class TestDaqmxStriker(Unwired, StrikerContract):
     @pytest.fixture
     def striker(self, rig):
         return rig.striker
@@ -66,10 +63,6 @@ class TestDaqmxStriker(StrikerContract):
     @pytest.fixture
     def keys(self):
         return tuple(ShotKey(position=name, set_index=0, shot_index=0) for name in ("C", "D"))
-
-    @pytest.fixture
-    def unknown_key(self, unknown_key):
-        return unknown_key
 
 
 def test_it_calibrates_itself(rig):

@@ -17,7 +17,6 @@ from daq_service.cli.main import cli
 
 FOLDERS = Path(__file__).parents[1] / "fixtures" / "folders"
 EARLIER = sorted(path.name.removesuffix(".tar.xz") for path in FOLDERS.glob("*.tar.xz"))
-TABLE, RECORDS = ("--table", "features", "--position", "B"), ("--waveforms", "B")
 
 
 @pytest.fixture(scope="module")
@@ -92,18 +91,3 @@ def test_the_file_of_a_whole_test_opens_as_a_plot(which, folders, tmp_path):
     done = CliRunner().invoke(cli, ["export", "--data-dir", str(folders[which]), "--hdf5", str(target)])
     assert done.exit_code == 0, done.output
     assert check_plot(target) == ("waveform", ["shot_id", "time"])
-
-
-@pytest.mark.parametrize(
-    ("words", "plot"),
-    [
-        (TABLE, ("tof_pp_s", ["due_h"])),
-        (RECORDS, ("voltage_v", ["sequence", "time_s"])),
-        (("--waveforms", "A", "--last-set", "0"), ("voltage_v", ["sequence", "time_s"])),
-    ],
-)
-def test_an_exported_file_opens_as_a_plot(words, plot, today, tmp_path):
-    target = tmp_path / "part.h5"
-    done = CliRunner().invoke(cli, ["export", "--data-dir", str(today), *words, "--out", str(target)])
-    assert done.exit_code == 0, done.output
-    assert check_plot(target) == plot

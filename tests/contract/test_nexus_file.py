@@ -1,15 +1,12 @@
 """The files are NeXus: h5py alone, knowing only NeXus's attributes, finds everything; so does h5dump."""
 
 import json
-import shutil
-import subprocess
-from dataclasses import replace
 from datetime import datetime
 
 import h5py
 import numpy as np
 import pytest
-from support.archived_sets import CURVED, make_echo, make_set, make_shot, other_set
+from support.archived_sets import CURVED, make_echo, make_set, make_shot
 
 from daq_service.archive.layout import build_image
 
@@ -221,19 +218,6 @@ def test_facts_and_causes_are_in_the_file(file):
     assert text(entry["provenance/type"][()]) == "application/json"
 
 
-def test_the_bytes_of_a_file_depend_on_its_set_alone(path):
-    later = other_set(make_set(), 8)  # of the same structure
-    assert build_image(later) != path.read_bytes()
-    assert build_image(replace(later, environment={})) != path.read_bytes()
-    assert build_image(make_set()) == path.read_bytes()
-
-
-def test_the_entry_has_an_identifier_of_its_content(file):
-    other = build_image(make_set())
-    with h5py.File.in_memory(other) as same:
-        assert same["entry/entry_identifier_uuid"][()] == file["entry/entry_identifier_uuid"][()]
-
-
 def test_waveforms_are_chunked_by_shot_with_filters_that_every_reader_has(file):
     signal = file["entry/B_waveforms/waveform"]
     assert signal.dtype == np.dtype("<i2")
@@ -261,24 +245,3 @@ def test_every_byte_of_data_is_under_a_checksum(file):
 
     file.visititems(check)
     assert len(seen) > 80
-
-
-needs_h5dump = pytest.mark.skipif(
-    shutil.which("h5dump") is None, reason="h5dump is not installed (Debian package hdf5-tools)"
-)
-
-
-def h5dump(*arguments):
-    result = subprocess.run(
-        ["h5dump", *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False
-    )
-    assert (result.returncode, result.stderr) == (0, "")
-    return result.stdout
-
-
-@needs_h5dump
-def test_h5dump_reads_the_whole_file(path):
-    dump = h5dump(path)
-    assert dump.count('GROUP "') >= 14
-    assert '"Set 7, hour 4"' in dump
-    assert '"no trigger within 5 s: gr' in dump

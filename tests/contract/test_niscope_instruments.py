@@ -129,26 +129,15 @@ def test_an_unsupported_record_is_refused_at_the_start(brain, changes, message):
         pytest.fail("it opened")
 
 
-def test_a_pulser_that_is_off_times_out_and_one_that_is_on_again_is_recorded():
-    with (
-        rig.met_brain(rig.description(repetition_hz=0.5)),
-        open_niscope(rig.parameters(averages=1)) as unit,
-    ):
-        # It has just fired: the next firing is 2 s away.
-        unit.acquire(rig.key(), 5.0)
-        with pytest.raises(AcquisitionTimeoutError, match="its sync reaches the trigger input"):
-            unit.acquire(rig.key(), 1e-3)
-        unit.acquire(rig.key(), 5.0)
-
-
 def test_no_wait_is_longer_than_configured():
     short = dataclasses.replace(rig.parameters(), call_timeout_s=0.01)
     with (
         rig.met_brain(rig.description(switched_on=False)),
         open_niscope(short) as unit,
-        pytest.raises(AcquisitionTimeoutError, match=r"Timeout: 0\.01 s"),
+        pytest.raises(AcquisitionTimeoutError, match="its sync reaches the trigger input") as late,
     ):
         unit.acquire(rig.key(), 20.0)
+    assert "Timeout: 0.01 s" in str(late.value)
 
 
 @pytest.mark.parametrize(("source", "terminal"), [("external", "VAL_EXTERNAL"), ("pfi_1", "VAL_PFI_1")])
@@ -180,12 +169,6 @@ def test_a_board_of_another_process_is_named_and_not_touched(brain):
 def test_a_serial_number_is_read_as_labels_print_it(brain, label):
     with open_niscope(rig.parameters(serial_number=label)) as unit:
         assert unit.acquire(rig.key(), rig.TIMEOUT_S).settings["board_serial"] == "01C5A1F0"
-
-
-def test_a_board_has_one_owner(unit):
-    with pytest.raises(BusyError), open_niscope(rig.parameters()):
-        pytest.fail("it opened")
-    unit.acquire(rig.key(), rig.TIMEOUT_S)
 
 
 def test_two_probes_take_turns_on_one_board():

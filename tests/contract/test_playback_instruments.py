@@ -46,12 +46,13 @@ def instruments(request, tmp_path):
         yield build_instruments(source)
 
 
-@pytest.fixture
-def unknown_key():
-    return ShotKey(position="nowhere", set_index=SET_INDEX, shot_index=0)
+class Unwired:
+    @pytest.fixture
+    def unknown_key(self):
+        return ShotKey(position="nowhere", set_index=SET_INDEX, shot_index=0)
 
 
-class TestRecordedDigitizer(DigitizerContract):
+class TestRecordedDigitizer(Unwired, DigitizerContract):
     @pytest.fixture
     def digitizer(self, instruments):
         return instruments.digitizer
@@ -64,12 +65,8 @@ class TestRecordedDigitizer(DigitizerContract):
     def keys(self):
         return tuple(ShotKey(position="B", set_index=SET_INDEX, shot_index=i) for i in (0, 1))
 
-    @pytest.fixture
-    def unknown_key(self, unknown_key):
-        return unknown_key
 
-
-class TestRecordedStriker(StrikerContract):
+class TestRecordedStriker(Unwired, StrikerContract):
     @pytest.fixture
     def striker(self, instruments):
         return instruments.striker
@@ -82,12 +79,8 @@ class TestRecordedStriker(StrikerContract):
     def keys(self):
         return tuple(ShotKey(position=name, set_index=SET_INDEX, shot_index=0) for name in ("B", "C"))
 
-    @pytest.fixture
-    def unknown_key(self, unknown_key):
-        return unknown_key
 
-
-class TestRecordedPulseEchoUnit(PulseEchoUnitContract):
+class TestRecordedPulseEchoUnit(Unwired, PulseEchoUnitContract):
     @pytest.fixture
     def pulse_echo(self, instruments):
         return instruments.pulse_echo
@@ -95,10 +88,6 @@ class TestRecordedPulseEchoUnit(PulseEchoUnitContract):
     @pytest.fixture
     def keys(self):
         return tuple(ShotKey(position="A", set_index=SET_INDEX + i, shot_index=0) for i in (0, 1))
-
-    @pytest.fixture
-    def unknown_key(self, unknown_key):
-        return unknown_key
 
 
 class TestRecordedClock(ClockContract):

@@ -42,12 +42,13 @@ def bench(request):
         )
 
 
-@pytest.fixture
-def unknown_key():
-    return ShotKey(position="nowhere", set_index=0, shot_index=0)
+class Unwired:
+    @pytest.fixture
+    def unknown_key(self):
+        return ShotKey(position="nowhere", set_index=0, shot_index=0)
 
 
-class TestSimulatedDigitizer(DigitizerContract):
+class TestSimulatedDigitizer(Unwired, DigitizerContract):
     @pytest.fixture
     def digitizer(self, bench):
         return bench.digitizer
@@ -60,12 +61,8 @@ class TestSimulatedDigitizer(DigitizerContract):
     def keys(self):
         return tuple(ShotKey(position="C", set_index=3, shot_index=i) for i in (0, 1))
 
-    @pytest.fixture
-    def unknown_key(self, unknown_key):
-        return unknown_key
 
-
-class TestSimulatedStriker(StrikerContract):
+class TestSimulatedStriker(Unwired, StrikerContract):
     @pytest.fixture
     def striker(self, bench):
         return bench.striker
@@ -78,12 +75,8 @@ class TestSimulatedStriker(StrikerContract):
     def keys(self):
         return tuple(ShotKey(position=name, set_index=0, shot_index=0) for name in ("C", "D"))
 
-    @pytest.fixture
-    def unknown_key(self, unknown_key):
-        return unknown_key
 
-
-class TestSimulatedPulseEchoUnit(PulseEchoUnitContract):
+class TestSimulatedPulseEchoUnit(Unwired, PulseEchoUnitContract):
     @pytest.fixture
     def pulse_echo(self, bench):
         return bench.pulse_echo
@@ -91,7 +84,3 @@ class TestSimulatedPulseEchoUnit(PulseEchoUnitContract):
     @pytest.fixture
     def keys(self):
         return tuple(ShotKey(position="A", set_index=i, shot_index=0) for i in (0, 1))
-
-    @pytest.fixture
-    def unknown_key(self, unknown_key):
-        return unknown_key

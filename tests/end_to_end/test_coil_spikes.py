@@ -14,7 +14,6 @@ import pytest
 from support.daqmx_rig import (
     CHAIN,
     READ_TIMEOUT_S,
-    TRANSPORTS,
     board,
     counts_of_the_twin,
     parameters_of,
@@ -131,18 +130,6 @@ def test_with_the_survey_s_own_proposal_none_of_a_thousand_is_lost_or_mistaken(d
     wrong, taken = wrong_with(parameters, doubles, CASES, 25)
     assert not wrong, "\n".join(wrong)
     assert taken == 500, "a thousand by both transports"
-
-
-@pytest.mark.parametrize("parameters", TRANSPORTS, indirect=True)
-def test_without_a_holdoff_the_shots_are_lost_and_the_survey_says_why(doubles, parameters):
-    """0.3 V takes every shot, 0.15 V none."""
-    for height_v, lost in ((0.3, True), (0.15, False)):
-        landed(doubles)
-        doubles.control.disturb("C", Crosstalk(on_v=height_v, off_v=height_v))
-        survey = survey_coil(parameters, "C", READ_TIMEOUT_S)
-        assert survey.takes_the_trigger is lost
-        for _, acquired in shots_of(parameters, doubles, range(3), 0):
-            assert ("false_trigger" in extract_features(acquired.waveform).flags) is lost
 
 
 # The doctor -----------------------------------------------------------------------------------------

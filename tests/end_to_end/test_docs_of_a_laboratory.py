@@ -178,15 +178,6 @@ def test_the_limits_of_the_baseline_page_are_those_of_the_code():
         assert re.search(rf"\({n}, \d+, {float(percent) / 100:g}\b", rates), (percent, n)
 
 
-def test_a_recorder_turns_a_backup_into_a_separate_test(folder, tmp_path):
-    copy = tmp_path / "copy"
-    assert solimon_here("backup", str(copy), "--data-dir", str(folder), env={}).returncode == 0
-    assert run(SETTINGS, copy), "it finds nothing to do, and owns the folder from now on"
-    again = solimon_here("backup", str(copy), "--data-dir", str(folder), env={})
-    assert again.returncode == 4
-    assert "a recorder went on in" in again.stderr
-
-
 COMMANDS = {
     "tutorial.md": ["demo", "status", "verify", "export"],
     "how-to/back-up.md": ["backup", "verify"],

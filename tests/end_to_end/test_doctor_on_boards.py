@@ -18,15 +18,9 @@ from support.daqmx_rig import (
     quick_description,
     reach,
 )
-from support.small_experiment import run
-from support.stepped_clock import SteppedClock
-from support.stored_files import read_set, set_files
 
-from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.rows import AlarmRow, SetRow
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.processes.data_folder import prepare_data_folder
-from daq_service.settings.file import load_settings
 from simulator.doubles.chassis.description import SIMULTANEOUS_16_BIT, SLOW
 from simulator.doubles.transports.library import why_unavailable
 from simulator.parameters.electronics import NoiseParameters
@@ -132,30 +126,6 @@ def test_boards_of_a_running_recorder_are_left_alone(doubles, tmp_path, capsys):
     assert f"process {owner.pid}" in checks["recorder"]["found"]
     assert checks["boards"]["state"] == "skipped"
     assert doubles.control.record()["calls"] == []
-
-
-def test_a_rehearsal_takes_whole_sets_with_every_coil_low(doubles, tmp_path):
-    settings = load_settings(configuration(tmp_path, doubles, dry_run=True))
-    folder = tmp_path / "rehearsal"
-    strikes_before = doubles.control.record()["strikes"]
-    assert run(settings, folder, wall_clock=SteppedClock().start)
-    record = doubles.control.record()
-    assert coil_pulses_s(record) == []
-    assert not any(event["level"] for event in record["lines"])
-    assert record["strikes"] == strikes_before
-    files = set_files(folder)
-    assert list(files) == [0, 1]
-    for path in files.values():
-        stored = read_set(path)
-        assert len(stored.shots) == 6, "three transducers, two records each: no strike is repeated"
-        assert {shot.settings["dry_run"] for shot in stored.shots} == {"yes"}
-        assert {shot.settings["pulse_s"] for shot in stored.shots} == {0.0}
-        assert stored.provenance["configuration"]["rig"]["daqmx"]["dry_run"] is True
-    with open_catalogue(folder) as catalogue:
-        assert catalogue.rows(AlarmRow) == [], "noise is no damage"
-        assert [row.state for row in catalogue.rows(SetRow)] == ["done"] * 6
-        started = list(catalogue.events_after(0, {"service"}, limit=None))
-        assert [row.payload["dry_run"] for row in started if row.kind == "recorder_started"] == [True]
 
 
 def test_the_power_up_states_of_the_safety_page_are_set(doubles):

@@ -2,10 +2,8 @@
 
 import json
 import os
-import sqlite3
 import threading
 import time
-from contextlib import closing
 
 import pytest
 from support.command_line import solimon_here
@@ -15,8 +13,6 @@ from support.stored_files import set_files
 from support.table_rows import lose_catalogue, table_rows
 
 from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.errors import CatalogueDamagedError
 from daq_service.catalogue.rows import SetRow
 from daq_service.clock import boot_name, wall
 from daq_service.recording import session
@@ -72,15 +68,3 @@ def test_the_next_recorder_rebuilds_the_catalogue_and_continues_from_the_same_ho
     assert (answer.returncode, json.loads(answer.stdout)["warnings"]) == (0, [])
     assert "set 5 of 5" in answer.stderr
     assert table_rows(started_folder) == whole
-
-
-@MACHINE_NAMES_ITS_BOOT
-def test_a_corrupt_catalogue_stops_the_start_with_a_working_remedy(machine, started_folder):
-    before = table_rows(started_folder)
-    with closing(sqlite3.connect(started_folder / FILE_NAME)) as database:
-        database.execute("UPDATE experiment SET epoch_utc_ns = epoch_utc_ns + 1")
-        database.commit()
-    with pytest.raises(CatalogueDamagedError, match=r"row 1 of table experiment.*solimon rebuild"):
-        run(settings_of(), started_folder, wall_clock=machine.clock)
-    assert solimon_here("rebuild", "--data-dir", str(started_folder), env=os.environ).returncode == 0
-    assert table_rows(started_folder) == before

@@ -16,6 +16,7 @@ from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import EnvironmentRow, SetRow
 from daq_service.cli.doctor.command import run_doctor
 from daq_service.clock import WallClock
+from daq_service.corrosion_drive.watch import DriveWatch
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
 from daq_service.recording.session import longest_call_s, record
 from daq_service.rig.open_rig import open_rig, open_supply
@@ -177,10 +178,15 @@ def test_supply_and_climate_of_other_packages_are_logged(script, folder):
     with open_catalogue(folder) as catalogue:
         (row,) = catalogue.rows(EnvironmentRow)
     assert (row.voltage_v, row.temperature_c, row.relative_humidity) == (9.5, 21.5, 0.4)
+    assert read_set(set_files(folder)[0]).environment["voltage_v"] == 9.5
     assert "supply off" in script.events, "the end of the test switches it off"
     clock = WallClock()
     with open_supply(settings, clock) as supply:
         assert supply.identity() == {"maker": "nobody"}
+    with open_catalogue(folder, writer=True) as catalogue, open_rig(settings, clock, 0) as rig:
+        catalogue.restore([replace(row, charge_coulomb=123.0)])
+        restarted = DriveWatch(settings.rig, rig, catalogue, {}, lambda *_: None, lambda _: None)
+        assert restarted.summary()["charge_coulomb"] == 123.0, "a restart goes on counting"
     # The recorder leaves a supply that has a process of its own to that process.
     with open_rig(settings.model_copy(update={"rig": settings.rig.without_supply()}), clock, 0) as rig:
         assert (rig.supply, rig.climate is None) == (None, False)

@@ -2,7 +2,6 @@
 
 import threading
 from contextlib import contextmanager
-from dataclasses import replace
 from importlib.util import find_spec
 from typing import Any
 
@@ -10,13 +9,10 @@ import pytest
 from support.daqmx_models import running_brain
 from support.niscope_rig import preload
 from support.stored_files import read_set, set_files
-from support.waiting import happened
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.rows import FeatureRow, SetRow
-from daq_service.cli.run import child_plans
 from daq_service.processes.data_folder import own_data_folder, prepare_data_folder
-from daq_service.processes.supervisor import Supervisor
 from daq_service.recording.session import record
 from daq_service.rig.doubles import running_rig
 from daq_service.rig.open_rig import CONTROL_VARIABLE, open_rig
@@ -40,15 +36,8 @@ SMALL: dict[str, Any] = {
 }
 
 
-def configuration(running, folder):
-    prepare_data_folder(folder)
-    path = folder / "configuration.json"
-    path.write_text(running.settings.model_dump_json(), encoding="utf-8")
-    return path
-
-
 @contextmanager
-def rig_here(rig, changed=lambda rig: rig):
+def rig_here(rig):
     """Run a rig whose libraries this process loads; its double is forked."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("simulator.doubles.transports.control.running_doubles", running_brain)
@@ -59,14 +48,16 @@ def rig_here(rig, changed=lambda rig: rig):
                     preload("niScope")
             for name, text in running.environment.items():
                 patch.setenv(name, text)
-            yield changed(running)
+            yield running
 
 
-def follow(running, folder, notify=lambda event, **_: None):
+def follow(running, folder):
     """Run the schedule in this process."""
     prepare_data_folder(folder)
     with own_data_folder(folder):
-        return record(running.settings, folder, open_rig, stop=threading.Event(), report=notify)
+        return record(
+            running.settings, folder, open_rig, stop=threading.Event(), report=lambda event, **_: None
+        )
 
 
 def shot_features(folder):
@@ -115,87 +106,3 @@ def test_a_set_through_nidaqmx_equals_the_twin_and_stores_its_settings(rig, simu
     assert shot.settings["calibration_date"]
     assert shot.waveform.calibration.coefficients_v.size == 4
     assert shot.truth == {}, "a driver knows nothing of the wall"
-
-
-SECOND_H = 1.0 / 3600.0
-PULSE_NS = 20_000_000
-
-
-def one_transducer(running, sets, **clock):
-    """Return one transducer, a set of one strike every two seconds, and short timeouts."""
-    values = running.settings.model_dump(mode="json")
-    values["clock"] |= clock
-    values["schedule"] |= {
-        "phases": [{"until_h": sets * 2.0 * SECOND_H, "interval_h": 2.0 * SECOND_H}],
-        "shots_per_set": 1,
-    }
-    values["baseline"]["minimum_valid_shots"] = 1
-    values["alarms"]["hole_shots"] = 1
-    values["positions"] = {"D": values["positions"]["D"]}
-    values["rig"]["niscope"] = None
-    values["rig"]["daqmx"]["transducers"] = {"D": values["rig"]["daqmx"]["transducers"]["D"]}
-    # A recorder of a loaded machine that only waits for its set is not taken for hung.
-    values["rig"] |= {"read_timeout_s": 1.0, "stall_timeout_s": 5.0}
-    return replace(running, settings=type(running.settings)(**values))
-
-
-def set_states(folder):
-    with open_catalogue(folder) as catalogue:
-        return [row.state for row in catalogue.rows(SetRow, position="D")]
-
-
-@pytest.mark.skipif(bool(REASONS["daqmx-library"]), reason=REASONS["daqmx-library"] or "available")
-@pytest.mark.parametrize(
-    "function", ["DAQmxReadBinaryI16", pytest.param("DAQmxWaitUntilTaskDone", marks=pytest.mark.slow)]
-)
-def test_a_hung_call_costs_the_sets_of_its_time_and_no_coil_stays_on(function, tmp_path):
-    """Nothing can interrupt a hung call of the library but the end of its process."""
-    first_set, went_on, stop = threading.Event(), threading.Event(), threading.Event()
-    codes: list[int] = []
-
-    def on_message(child, message):
-        if message["event"] == "progress":
-            first_set.set()
-            states = set_states(tmp_path)
-            if "missed" in states and states[-1] == "done":
-                went_on.set()
-
-    with (
-        running_rig("daqmx-library", SMALL) as started,
-        DoublesControl(started.environment[CONTROL_VARIABLE]) as doubles,
-    ):
-        running = one_transducer(started, 1_000, kind="wall")
-        config = configuration(running, tmp_path)
-        plans = child_plans(
-            config, tmp_path, port=None, web=False, linger=False, environment=running.environment
-        )
-        supervisor = Supervisor(plans, tmp_path, on_message=on_message)
-        thread = threading.Thread(target=lambda: codes.append(supervisor.run(stop, stay=False)))
-        thread.start()
-        try:
-            happened(first_set.wait, "a set was taken")
-            doubles.inject(function, "hang")
-            happened(doubles.wait_until_hanging, "a call hung")
-            happened(went_on.wait, "a set was taken after those that were missed")
-        finally:
-            stop.set()
-            thread.join(60.0)
-        driver_record = doubles.record()
-    assert codes == [0]
-    with open_catalogue(tmp_path) as catalogue:
-        sets = catalogue.rows(SetRow, position="D")
-        starts = catalogue.events_after(0, {"service"}, limit=None)
-    # A busy machine may take so long for the start, or for storing a set, that it counts as hung, too.
-    restarts = [row.payload["before"] or "" for row in starts if row.kind == "recorder_started"]
-    assert any("hung while taking set" in restart for restart in restarts)
-    missed = [row for row in sets if row.state == "missed"]
-    assert missed, "the sets of that time are gaps in the ledger"
-    # Not all: on a busy machine sets may also fall due while the recorder opens the rig.
-    assert any("hung while taking set" in row.reason for row in missed)
-    # The counter ends each pulse: whatever hung, no level stayed high for longer than the pulse.
-    for line in {event["line"] for event in driver_record["lines"]}:
-        events = [event for event in driver_record["lines"] if event["line"] == line]
-        assert [event["level"] for event in events] == [1, 0] * (len(events) // 2)
-        for on, off in zip(events[::2], events[1::2], strict=True):
-            assert off["ns"] - on["ns"] <= PULSE_NS * 1.01
-    assert not any(driver_record["levels"].values())

@@ -1,25 +1,21 @@
 """The line from strike to alarm, in one process."""
 
 import math
-from collections import Counter
 from dataclasses import replace
-from importlib.metadata import version
 from typing import Any
 
-import h5py
-import numpy as np
 import pytest
 from support.small_experiment import rows_of, run
 from support.small_experiment import small_settings as half_a_day
 from support.stored_files import read_set, set_files
 
-from analysis.waves.features import extract_features, extract_from_average
+from analysis.waves.features import extract_from_average
 from daq_service.archive.waterfall.tiles import WIDTHS, n_bytes
 from daq_service.catalogue.connection import FILE_NAME
 from daq_service.cli.forecast import CATALOGUE_BYTES_A_RECORD, built_set_bytes, tile_bytes
 from daq_service.cli.offline.twin_line import assessed_sets
 
-BASELINE_SETS, SETS = 15, 19
+SETS = 19
 SHORT: dict[str, Any] = {
     "schedule": {"phases": [{"until_h": 9.5, "interval_h": 0.5}]},
     "baseline": {"hours": 7.5},
@@ -44,14 +40,6 @@ def finished(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def pair(tmp_path_factory):
-    """Return the rows of an undisturbed test of a probe and one transducer."""
-    folder = tmp_path_factory.mktemp("pair")
-    assert run(pair_settings(), folder)
-    return rows_of(folder)
-
-
 def test_the_forecast_is_the_folder_s_size(finished):
     settings = small_settings()
     files = sum(path.stat().st_size for path in (finished / "sets").iterdir())
@@ -63,47 +51,6 @@ def test_the_forecast_is_the_folder_s_size(finished):
     # Empty tables, 0.3 MB, and the newest states of the assessors, 0.4 MB, do not grow with the test.
     catalogue = (finished / FILE_NAME).stat().st_size
     assert pytest.approx(catalogue, abs=0.8e6) == CATALOGUE_BYTES_A_RECORD * SETS * 10
-
-
-def test_every_planned_set_has_its_row_file_and_features(finished):
-    rows = rows_of(finished)
-    assert Counter(row.state for row in rows["sets"]) == {"done": 4 * SETS}
-    assert sorted(set_files(finished)) == list(range(SETS))
-    assert len(rows["shots"]) == SETS * (1 + 3 * 3)
-    assert [row.sequence for row in rows["shots"]] == list(range(1, len(rows["shots"]) + 1))
-    assert len(rows["set_features"]) == 3 * SETS
-    assert len(rows["thickness"]) == SETS
-
-
-def test_the_catalogue_matches_the_files(finished):
-    """Features computed again from the file alone are those of the catalogue, to the last bit."""
-    stored = {row.sequence: row for row in rows_of(finished)["shot_features"]}
-    record = read_set(set_files(finished)[7])
-    assert len(record.shots) == 9
-    for shot in record.shots:
-        values = extract_features(shot.waveform).values()
-        row = stored[shot.sequence]
-        assert {name: getattr(row, name) for name in values} == {
-            name: None if np.isnan(value) else value for name, value in values.items()
-        }
-
-
-def test_a_file_matches_the_catalogue_rows_of_its_set(finished):
-    rows = rows_of(finished)
-    with h5py.File(set_files(finished)[7]) as file:
-        entry = file["entry"]
-        assert file.attrs["creator_version"] == entry["program_name"].attrs["version"] == version("solimon")
-        shots = {row.sequence: row for row in rows["shots"]}
-        found = [row for row in rows["shot_features"] if row.set_index == 7]
-        assert entry["features/shot_id"][()].tolist() == [row.sequence for row in found]
-        assert entry["features/tof_pp_s"][()].tolist() == [row.tof_pp_s for row in found]
-        assert entry["features/tof_pp_s"].attrs["units"] == "s"
-        flags = [" ".join(shots[row.sequence].flags) for row in found]
-        assert entry["features/flags"].asstr()[()].tolist() == flags
-        means = [row.amplitude_ratio for row in rows["set_features"] if row.set_index == 7]
-        assert entry["set_features/amplitude_ratio"][()].tolist() == means
-        (wall,) = (row.thickness_m for row in rows["thickness"] if row.set_index == 7)
-        assert entry["thickness/thickness_m"][()].tolist() == [wall]
 
 
 def test_assessment_without_recorder_and_storage_gives_the_same_result(finished):
@@ -149,9 +96,3 @@ def test_disturbances_of_a_shot_are_stored_with_it_and_forecast(tmp_path):
     stored = [shot for shot in read_set(set_files(tmp_path)[1]).shots if shot.key.position == "B"]
     assert [dict(shot.truth) for shot in stored] == [dict(shot.truth) for shot in struck.shots]
     assert sum(name.startswith("nuisance_") for name in stored[0].truth) == 12 + 2 * 9
-
-
-def test_a_test_carried_on_for_longer_has_the_same_rows(pair, tmp_path):
-    assert run(pair_settings(schedule={"end_h": 4.0}), tmp_path)
-    assert run(pair_settings(), tmp_path)
-    assert rows_of(tmp_path) == pair

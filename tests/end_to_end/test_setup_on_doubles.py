@@ -9,16 +9,7 @@ from dataclasses import replace
 import pytest
 from support.command_line import solimon_here
 from support.daqmx_models import running_brain
-from support.daqmx_rig import (
-    CHAIN,
-    QUICK_TWIN,
-    board,
-    coil_pulses_s,
-    meet,
-    quick_description,
-    reach,
-    why_no,
-)
+from support.daqmx_rig import CHAIN, QUICK_TWIN, board, coil_pulses_s, meet, quick_description, reach, why_no
 from support.small_experiment import run
 from support.stored_files import read_set, set_files
 from support.waiting import happened
@@ -178,10 +169,7 @@ def test_strikes_stop_when_a_recorder_has_started_meanwhile(doubles, tmp_path):
     try:
         bench.wire("B", wiring_of(bench.boards, "01E16086/ai0/ctr0"))
         prepare_data_folder(tmp_path)
-        with (
-            own_data_folder(tmp_path),
-            pytest.raises(BusyError, match="strike is refused: another recorder"),
-        ):
+        with own_data_folder(tmp_path), pytest.raises(BusyError, match="strike is refused: another recorder"):
             bench.strike("B")
         assert coil_pulses_s(doubles.control.record()) == []
         bench.strike("B")

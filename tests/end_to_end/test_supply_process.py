@@ -5,15 +5,12 @@ import signal
 import subprocess
 import threading
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import pytest
 from support.command_line import SOLIMON, solimon_here
-from support.machine import clock_in_seconds
 from support.notify_socket import notify_socket
-from support.offered_kinds import offer
-from support.scripted_kinds import OFFERED
 from support.small_experiment import disturbed_rig, small_settings
 from support.stepped_clock import SteppedClock
 from support.waiting import ended, until
@@ -21,16 +18,12 @@ from support.waiting import ended, until
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
 from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, SetRow
-from daq_service.cli.run import remote_drive, start_drive
+from daq_service.cli.run import remote_drive
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
-from daq_service.corrosion_drive.channel import connect
-from daq_service.corrosion_drive.guard import CHECK_EVERY_S, DriveGuard
-from daq_service.corrosion_drive.remote import RemoteDrive
-from daq_service.corrosion_drive.supply_state import address_of, read_supply_status
+from daq_service.corrosion_drive.supply_state import read_supply_status
 from daq_service.errors import RigError, StorageError
 from daq_service.processes.data_folder import (
-    DRIVE_FILE,
     DRIVE_LOCK,
     is_owned,
     lock_text,
@@ -42,7 +35,6 @@ from daq_service.processes.heartbeat import read_heartbeat
 from daq_service.recording.resources import Host, SessionOptions
 from daq_service.recording.session import record
 from daq_service.rig.open_rig import open_rig
-from daq_service.settings.instruments import with_defaults
 from daq_service.settings.tree import Settings
 from simulator.doubles.serial.instruments import SerialInstruments
 from simulator.doubles.serial.link import pseudo_terminals_missing
@@ -82,33 +74,6 @@ def settings_of(instruments, *, watchdog_timeout_s, off_at_end, sets, **supply):
                 **supply,
             }
         },
-    )
-
-
-def mixed_settings_of(instruments, *, watchdog_timeout_s):
-    """Return instruments of another package at B, and a text supply of a mixed rig."""
-    plain = settings_of(instruments, watchdog_timeout_s=watchdog_timeout_s, off_at_end=True, sets=600)
-    return with_defaults(
-        Settings(
-            positions={"B": {"method": "solitary_wave"}},
-            clock=plain.clock,
-            schedule=plain.schedule,
-            baseline=plain.baseline,
-            rig={
-                "kind": "mixed",
-                "instruments": {
-                    "scope": {"kind": "scripted-scope"},
-                    "hammer": {"kind": "scripted-hammer"},
-                    "psu": {"kind": "text-supply", "line": line_of(instruments), "identity": IDENTITY},
-                },
-                "positions": {"B": {"digitizer": "scope", "striker": "hammer"}},
-                "drive": {
-                    "instrument": "psu",
-                    "log_interval_s": 0.2,
-                    "watchdog_timeout_s": watchdog_timeout_s,
-                },
-            },
-        )
     )
 
 
@@ -320,40 +285,6 @@ def test_a_killed_supply_process_is_unknown_and_its_successor_energizes_nothing(
     assert test.switchings() == [True, False]
 
 
-@pytest.mark.parametrize("state", [pytest.param("on", marks=pytest.mark.slow), "unreadable"])
-def test_a_supply_process_killed_after_the_recorder_is_restarted_and_switches_off(test, state):
-    test.run_switched_on(test.settings(off_at_end=False))
-    os.kill(test.drive(), signal.SIGKILL)
-    until(test.drive_has_left, "the kill")
-    started: list[subprocess.Popen[bytes]] = []
-    if state == "unreadable":
-        (test.folder / DRIVE_FILE).write_bytes(b"{torn")
-    sooner = test.settings(off_at_end=False, watchdog_timeout_s=WATCHDOG_S)
-    assert sooner.rig.supply is not None
-
-    def start():
-        started.append(start_drive(sooner, test.folder))
-        return started[-1]
-
-    now_s = [0.0]
-    remote = RemoteDrive(
-        sooner.rig.supply, test.folder, start, watches=False, machine=clock_in_seconds(lambda: now_s[0])
-    )
-    with remote:
-        guard = DriveGuard(
-            test.folder, remote, check_every_s=600.0, machine=clock_in_seconds(lambda: now_s[0])
-        )
-        guard.check()
-        assert len(started) == 1
-        until(lambda: not test.instruments.supply.on, "the supply is off")
-        until(test.drive_has_left, "the process of the drive has left")
-        assert test.switchings() == [True, False]
-        ended(started[0], "the drive")
-        now_s[0] += CHECK_EVERY_S
-        guard.check()
-        assert len(started) == 1, "it was left off"
-
-
 @contextmanager
 def started(test, word, settings):
     """Run ``solimon record`` or ``run`` on the folder until an operator has switched the supply on."""
@@ -395,27 +326,6 @@ def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(test, 
         ended(process, "the kill")
         test.is_switched_off_unwatched()
         until(lambda: is_owned(test.folder) is False, "the recorder's end")
-
-
-@pytest.fixture
-def offered(tmp_path, monkeypatch):
-    """Offer the instruments of another package to this process and its children."""
-    offer(monkeypatch, tmp_path / "site", OFFERED)
-    paths = [str(tmp_path / "site"), str(Path(__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
-    monkeypatch.setenv("PYTHONPATH", os.pathsep.join(filter(None, paths)))
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("offered")
-def test_the_supply_of_a_mixed_rig_is_switched_off_after_a_kill(test):
-    settings = mixed_settings_of(test.instruments, watchdog_timeout_s=WATCHDOG_S)
-    with started(test, "record", settings) as process:
-        until(test.has_charge, "a set with its charge")
-        assert test.switchings() == [True]
-        assert test.drive() != process.pid
-        os.kill(process.pid, signal.SIGKILL)
-        ended(process, "the kill")
-        test.is_switched_off_unwatched()
 
 
 def test_a_recorder_that_its_supervisor_starts_again_goes_on(test):
@@ -477,65 +387,6 @@ def alarm(test, kind):
     return until(lambda: test.alarms().get(kind), kind).message
 
 
-@pytest.mark.parametrize("off", ["command", pytest.param("brown-out", marks=pytest.mark.slow)])
-def test_an_output_that_comes_on_by_itself_is_switched_off(test, off):
-    with energised(test):
-        if off == "command":
-            test.order("supply_off")
-            until(lambda: test.answers() == ["done", "done"], "the answer")
-        else:
-            test.instruments.brown_out()
-            alarm(test, "supply_off_unexpectedly")
-        test.instruments.supply_link.do(lambda: test.instruments.supply.press_output_key(True))
-        assert "solimon supply --on" in alarm(test, "supply_on_unexpectedly")
-        assert not test.instruments.supply.on
-
-
-def test_a_command_on_that_loses_its_link_is_switched_off_when_the_link_returns(test):
-    supply, link = test.instruments.supply, test.instruments.supply_link
-    switch = supply._switch
-
-    def switch_and_fall_silent(on, cause):
-        switch(on, cause)
-        if on:
-            link._set_faults(replace(link._faults, silent=True))
-
-    supply._switch = switch_and_fall_silent  # type: ignore[method-assign]
-    with test.recording(test.settings(line=line_of(test.instruments, reply_timeout_s=0.2))):
-        until(test.has_started, "the recorder")
-        test.order("supply_on")
-        until(lambda: test.answers() == ["rejected"], "the answer")
-        assert supply.on
-        assert "output may be ON" in alarm(test, "supply_switch_off_pending")
-        link.clear_faults()
-        until(lambda: not supply.on, "the switch-off")
-        until(lambda: test.alarms()["supply_switch_off_pending"].state != "unacknowledged", "its return")
-
-
-def test_before_a_successor_with_another_port_it_switches_off(test):
-    test.run_switched_on(test.settings(off_at_end=False))
-    assert test.instruments.supply.on
-    line = {"port": "/dev/solimon-absent"}
-    with test.recording(test.settings(off_at_end=False, watchdog_timeout_s=3.0, line=line)):
-        until(lambda: not test.instruments.supply.on, "the old process switches off")
-    until(test.drive_has_left, "nothing is left to supervise")
-    assert test.switchings() == [True, False]
-
-
-@pytest.mark.slow
-def test_without_a_successor_that_reads_the_supply_it_switches_off(test):
-    """A successor without rights, or one that crashes before its first reading."""
-    test.run_switched_on(test.settings(off_at_end=False, watchdog_timeout_s=600.0))
-    address = address_of(test.folder)
-    connection = connect(address.port, bytes.fromhex(address.key))
-    port = test.settings().rig.supply.line.port
-    connection.send({"id": 1, "do": "hand over", "why": "a test", "supply_port": port})
-    until(lambda: is_owned(test.folder, DRIVE_LOCK) is False, "port and lock are released")
-    assert test.instruments.supply.on
-    until(lambda: not test.instruments.supply.on, "no successor has read")
-    connection.close()
-
-
 def test_a_disk_that_hangs_does_not_delay_the_interlock(test):
     with energised(test):
         os.mkfifo(test.folder / "drive.new")  # nothing reads it: each write of the state hangs
@@ -551,30 +402,6 @@ def test_a_supply_process_that_stalls_at_the_end_is_replaced_and_switches_off(te
         os.kill(stopped, signal.SIGSTOP)
     until(lambda: not test.instruments.supply.on, "another process switches off")
     assert test.switchings() == [True, False]
-
-
-@pytest.mark.slow
-def test_a_supply_process_that_stalls_is_replaced_and_commands_cost_no_set(test):
-    line = line_of(test.instruments, reply_timeout_s=0.1)
-    with energised(test, line=line, read_timeout_s=1.0):
-        stopped = test.drive()
-        os.kill(stopped, signal.SIGSTOP)
-        test.order("supply_off")
-        until(lambda: test.drive() != stopped, "another process")
-        until(lambda: not test.instruments.supply.on, "the switch-off")
-        with open_catalogue(test.folder) as catalogue:
-            assert {row.state for row in catalogue.rows(SetRow)} == {"done"}
-
-
-def test_a_supply_away_from_its_command_is_an_alarm_and_above_its_cap_off(test):
-    supply, link = test.instruments.supply, test.instruments.supply_link
-    with energised(test, deviation_after_s=0.5):
-        link.do(lambda: setattr(supply, "cell", Cell(resistance_ohm=1e9)))
-        assert "10 V set" in alarm(test, "supply_deviation")
-        assert supply.on
-        link.do(lambda: supply._set.update(VOLT=25.0))
-        assert "25 V is above the cap of 12 V" in alarm(test, "supply_above_cap")
-        assert not supply.on
 
 
 def test_a_test_without_a_supply_has_no_supply_process(tmp_path):

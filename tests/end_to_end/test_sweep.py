@@ -1,6 +1,5 @@
 """`solimon simulate --sweep` as a whole process: killed, interrupted, and through the command line."""
 
-import json
 import os
 import re
 import signal
@@ -91,20 +90,3 @@ def test_depths_is_short_for_a_sweep_of_the_depth(tmp_path):
     assert simulate("--depths", "0:0.8:3", "--out", str(short)).exit_code == 0
     assert simulate("--sweep", "corrosion.depth_fraction=0:0.8:3", "--out", str(long)).exit_code == 0
     assert short.read_bytes() == long.read_bytes()
-
-
-@pytest.mark.usefixtures("quick")
-def test_a_sweep_file_and_the_printed_table(tmp_path):
-    path = tmp_path / "shots.csv"
-    path.write_text("plate.model,corrosion.depth_fraction\nmindlin,0.2\nrigid_wall,0\n", encoding="utf-8")
-    done = simulate("--sweep-file", str(path))
-    assert done.exit_code == 0, done.output
-    heading, first, second, hashed = done.stdout.splitlines()
-    assert heading.split()[:2] == ["plate.model", "corrosion.depth_fraction"]
-    assert first.split()[:2] == ["mindlin", "0.2"]
-    # 316.9 us is the anchor of the disk sensor at a rigid wall.
-    assert "316.9" in second
-    assert second.split()[-1] == "ok"
-    rows = json.loads(simulate("--sweep-file", str(path), "--json").stdout)
-    assert rows["content_hash"] in hashed
-    assert [row["plate.model"] for row in rows["shots"]] == ["mindlin", "rigid_wall"]

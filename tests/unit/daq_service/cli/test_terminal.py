@@ -56,10 +56,7 @@ def test_each_requested_action_is_one_line(capsys):
         log.after(0.0, "asked", **asked, within_s=400.0)
         log.after(8.0, "asked_over")
         log.after(0.0, "asked", text="close the door", within_s=30.0)
-    assert lines(capsys) == [
-        "strike C now (position C, shot 7): within 7 min",
-        "close the door: within 30 s",
-    ]
+    assert lines(capsys) == ["strike C now (position C, shot 7): within 7 min", "close the door: within 30 s"]
 
 
 def test_alarms_are_printed_when_raised_and_when_cleared(capsys):

@@ -258,10 +258,7 @@ def test_on_simulated_time_computer_checks_are_skipped():
 @pytest.mark.parametrize(("step_s", "state"), [(0.0, "ok"), (3600.0, "warn"), (-2.0, "warn")])
 def test_a_clock_step_during_the_check_is_detected(step_s, state):
     checks = machine_checks(
-        "simulated",
-        FOLDER,
-        started_wall_s=time.time() - 5.0 - step_s,
-        started_mono_s=time.monotonic() - 5.0,
+        "simulated", FOLDER, started_wall_s=time.time() - 5.0 - step_s, started_mono_s=time.monotonic() - 5.0
     )
     assert by_name(checks)["monotonic clock"].state == state
 

@@ -461,11 +461,7 @@ LEFT_OUT = {
     "place": (["1_2"] * 120, "most of its cells are no numbers", "1_2"),
     "hash": (["3f2a", "12e3", "b7c0"] * 40, "most of its cells are no numbers", "3f2a"),
     "version": (["1.2.3"] * 120, "most of its cells are no numbers", "1.2.3"),
-    "uptime": (
-        [k * k for k in range(120)],
-        "it only rises or only falls, as an index or a time does",
-        "0",
-    ),
+    "uptime": ([k * k for k in range(120)], "it only rises or only falls, as an index or a time does", "0"),
     "stamp": (
         [1_700_000_000 - k // 2 for k in range(120)],
         "it only rises or only falls, as an index or a time does",
@@ -541,11 +537,7 @@ def test_tables_as_other_programs_write_them_are_read_alike(tmp_path, vectors, c
     [
         ("x,a,b", "Mean,0.1,0.2", "the last row is 'Mean' of the others, not a set: take it out"),
         ("x,a,b", "Total:,0.1,", "the last row is 'Total:' of the others, not a set"),
-        (
-            "Rig 3,,\nx,a,b",
-            "wet,0.1,0.2",
-            "row 0 (x,a,b) names columns without a name: keep one such row",
-        ),
+        ("Rig 3,,\nx,a,b", "wet,0.1,0.2", "row 0 (x,a,b) names columns without a name: keep one such row"),
     ],
 )
 def test_totals_and_merged_names_are_refused(tmp_path, vectors, header, last, message):

@@ -30,11 +30,7 @@ def test_a_grid_holds_every_combination_with_the_last_key_fastest():
         ("sphere", 0.2, 3),
     ]
     chain, plate, corrosion = BASE
-    expected = (
-        replace(chain, sensor="disk", spheres_below=3),
-        plate,
-        replace(corrosion, depth_fraction=0.4),
-    )
+    expected = (replace(chain, sensor="disk", spheres_below=3), plate, replace(corrosion, depth_fraction=0.4))
     assert plan.rows[10].specimen == expected
     assert len({row.key for row in plan.rows}) == 12
 
