@@ -130,6 +130,3 @@ def test_with_the_survey_s_own_proposal_none_of_a_thousand_is_lost_or_mistaken(d
     wrong, taken = wrong_with(parameters, doubles, CASES, 25)
     assert not wrong, "\n".join(wrong)
     assert taken == 500, "a thousand by both transports"
-
-
-# The doctor -----------------------------------------------------------------------------------------

@@ -30,17 +30,6 @@ LIMIT_S = 120.0
 posix_only = pytest.mark.skipif(os.name == "nt", reason="Windows has neither SIGKILL nor SIGTERM")
 
 
-def solimon(*arguments):
-    return subprocess.run(
-        [*SOLIMON, *arguments],
-        env={**os.environ, **QUICK},
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
-
-
 @contextmanager
 def started(*arguments):
     """Run a command in the background; end it with the test."""
@@ -120,7 +109,8 @@ def test_ctrl_c_and_sigterm_end_everything_without_a_kill(tmp_path, number):
 def test_a_refusal_is_the_exit_code_and_the_last_words_of_the_process(tmp_path):
     config = tmp_path / "test.toml"
     config.write_text("[corrosion]\nsize_mm = 2.0", encoding="utf-8")
-    process = solimon("record", str(config))
+    command = [*SOLIMON, "record", str(config)]
+    process = subprocess.run(command, capture_output=True, text=True, timeout=LIMIT_S, check=False)
     assert (process.returncode, process.stdout) == (2, "")
     for command in ("record", "simulate"):
         assert process.stderr == solimon_here(command, str(config), env=QUICK).stderr

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import pytest
 from support.archived_sets import assert_same_records
-from support.labview_files import raw_properties, waveform_properties, write
 from support.small_experiment import disturbed_rig, rows_of, run
 from support.small_experiment import small_settings as half_a_day
 from support.stored_files import read_set, set_files
@@ -14,7 +13,6 @@ from support.stored_files import read_set, set_files
 from daq_service.clock import parse_utc
 from daq_service.settings.file import load_settings
 from hardware_drivers.errors import AcquisitionTimeoutError
-from hardware_drivers.measurement import PulseEchoRecord
 
 END_H, SHORT_H, LAST = 8.0, 1.5, 15
 """After the baseline of 7.5 h there are assessments; what concerns single shots is seen in less."""
@@ -30,7 +28,7 @@ def small_settings(**tables):
 
 def played_back(source, end_h=END_H, **tables):
     """Return settings of the same test on a recording."""
-    playback = {"source": str(source), **tables.pop("playback", {})}
+    playback = {"source": str(source)}
     return small_settings(schedule={"end_h": end_h}, rig={"kind": "playback", "playback": playback}, **tables)
 
 
@@ -71,55 +69,6 @@ def test_an_archive_played_back_in_two_parts_is_the_same_test_to_the_last_bit(re
     found = read_set(set_files(tmp_path)[0])
     assert found.rig_kind == "playback"
     assert found.provenance["rig_identity"]["recording"] == str(recording)
-
-
-def labview_copy(recording, folder, sets):
-    """Write the first sets of the recording as a LabVIEW program does: a file per set."""
-    for set_index, path in list(set_files(recording).items())[:sets]:
-        channels = []
-        for record in read_set(path).records:
-            waveform, utc_ns = record.waveform, record.stamp.utc_ns
-            volts = isinstance(record, PulseEchoRecord)
-            channels.append(
-                (
-                    f"ai {record.key.position}",
-                    f"strike {record.key.shot_index + 1}",
-                    waveform.volts() if volts else waveform.counts,
-                    waveform_properties(waveform, utc_ns) if volts else raw_properties(waveform, utc_ns),
-                )
-            )
-        write(folder / f"day 1/Messung {set_index + 1}.tdms", channels)
-    return folder
-
-
-LABVIEW = {
-    "format": "tdms",
-    "tdms": {
-        "file_pattern": r".*/Messung (?P<set>\d+)\.tdms",
-        "group_pattern": r"ai (?P<position>[A-D])",
-        "channel_pattern": r"strike (?P<shot>\d+)",
-        "first_set": 1,
-        "first_shot": 1,
-        "pulse_echo_positions": ["A"],
-        "gain_db": 30.0,
-        "averages": 16,
-    },
-}
-
-
-def test_labview_s_codes_give_the_same_features(recording, tmp_path):
-    source = labview_copy(recording, tmp_path / "labview", 3)
-    assert run(played_back(source, SHORT_H, playback=LABVIEW), tmp_path / "played")
-    for index, path in set_files(tmp_path / "played").items():
-        found, wanted = read_set(path), read_set(set_files(recording)[index])
-        for shot, original in zip(found.shots, wanted.shots, strict=True):
-            assert (shot.key, shot.stamp) == (original.key, original.stamp)
-            assert shot.waveform.counts.tobytes() == original.waveform.counts.tobytes()
-            assert shot.settings["tdms_channel"].startswith("day 1/Messung ")
-    rows, originals = rows_of(tmp_path / "played"), rows_of(recording)
-    for name in ("set_features", "shot_features"):  # the echoes were volts
-        assert rows[name] == [row for row in originals[name] if row.set_index < 3], name
-    assert len(rows["set_features"]) == 2 * 3
 
 
 PAGE = Path(__file__).parents[2] / "docs/how-to/play-back-recorded-shots.md"

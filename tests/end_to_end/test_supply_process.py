@@ -12,12 +12,11 @@ import pytest
 from support.command_line import SOLIMON, solimon_here
 from support.notify_socket import notify_socket
 from support.small_experiment import disturbed_rig, small_settings
-from support.stepped_clock import SteppedClock
 from support.waiting import ended, until
 
 from daq_service.catalogue import open_catalogue
 from daq_service.catalogue.errors import NoDataYetError
-from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, SetRow
+from daq_service.catalogue.rows import AlarmRow, EnvironmentRow, EventRow, SetRow
 from daq_service.cli.run import remote_drive
 from daq_service.cli.status.facts import describe_status
 from daq_service.clock import WallClock
@@ -44,37 +43,7 @@ NO_TERMINALS = pseudo_terminals_missing()
 pytestmark = pytest.mark.skipif(bool(NO_TERMINALS), reason=NO_TERMINALS or "available")
 
 SECOND_H = 1.0 / 3600.0
-SETS = 4
 WATCHED_S, WATCHDOG_S = 600.0, 1.0
-IDENTITY = "SOLIMON,DC SUPPLY DOUBLE"
-
-
-def line_of(instruments, reply_timeout_s=5.0):
-    return {"port": str(instruments.supply_link.path), "reply_timeout_s": reply_timeout_s}
-
-
-def settings_of(instruments, *, watchdog_timeout_s, off_at_end, sets, **supply):
-    """Return settings of a set per second on the twin, with the supply."""
-    return small_settings(
-        clock={"kind": "wall"},
-        schedule={
-            "phases": [{"until_h": 600.0 * SECOND_H, "interval_h": SECOND_H}],
-            "end_h": sets * SECOND_H,
-            "shots_per_set": 2,
-            "shot_interval_s": 0.05,
-        },
-        baseline={"hours": 100.0},
-        rig={
-            "supply": {
-                "line": line_of(instruments),
-                "identity": IDENTITY,
-                "log_interval_s": 0.2,
-                "off_at_end": off_at_end,
-                "watchdog_timeout_s": watchdog_timeout_s,
-                **supply,
-            }
-        },
-    )
 
 
 @contextmanager
@@ -95,20 +64,33 @@ class Test:
     instruments: SerialInstruments
     orders: list[int] = field(default_factory=list)
 
-    def settings(self, *, watchdog_timeout_s=WATCHED_S, off_at_end=True, sets=SETS, **supply):
-        return settings_of(
-            self.instruments,
-            watchdog_timeout_s=watchdog_timeout_s,
-            off_at_end=off_at_end,
-            sets=sets,
-            **supply,
+    def settings(self, *, watchdog_timeout_s=WATCHED_S, off_at_end=True):
+        """Return settings of a set per second on the twin, with the supply."""
+        return small_settings(
+            clock={"kind": "wall"},
+            schedule={
+                "phases": [{"until_h": 600.0 * SECOND_H, "interval_h": SECOND_H}],
+                "shots_per_set": 2,
+                "shot_interval_s": 0.05,
+            },
+            baseline={"hours": 100.0},
+            rig={
+                "stall_timeout_s": 3.0,
+                "supply": {
+                    "line": {"port": str(self.instruments.supply_link.path), "reply_timeout_s": 5.0},
+                    "identity": "SOLIMON,DC SUPPLY DOUBLE",
+                    "log_interval_s": 0.2,
+                    "off_at_end": off_at_end,
+                    "watchdog_timeout_s": watchdog_timeout_s,
+                },
+            },
         )
 
     def order(self, kind, **arguments):
         with open_catalogue(self.folder) as catalogue:
             self.orders.append(catalogue.add_command("Ada", kind, arguments))
 
-    def run(self, settings, *, after=None, rig=without_supply, stop=None, wall_clock=None):
+    def run(self, settings, *, after=None, rig=without_supply, stop=None):
         """Record to the end; act after the n-th set."""
         prepare_data_folder(self.folder)
 
@@ -126,19 +108,14 @@ class Test:
                 stop=stop or threading.Event(),
                 report=notify,
                 options=SessionOptions(remote_drive=drive),
-                host=Host(listen_every_s=0.0, wall_clock=wall_clock or SteppedClock().start),
+                host=Host(listen_every_s=0.0, wall_clock=WallClock),
             )
 
     @contextmanager
     def recording(self, settings):
         """Record in real time next to the test, until the test stops it."""
         stop = threading.Event()
-        settings = settings.model_copy(
-            update={"schedule": settings.schedule.model_copy(update={"end_h": 600.0 * SECOND_H})}
-        )
-        recorder = threading.Thread(
-            target=self.run, args=(settings,), kwargs={"stop": stop, "wall_clock": WallClock}
-        )
+        recorder = threading.Thread(target=self.run, args=(settings,), kwargs={"stop": stop})
         recorder.start()
         try:
             until(lambda: read_supply_status(self.folder), "the drive")
@@ -147,12 +124,16 @@ class Test:
             stop.set()
             ended(recorder, "the stop")
 
+    def switch_on(self):
+        """Switch the supply on, as an operator does who sees a set."""
+        until(self.has_started, "the recorder")
+        self.order("supply_on")
+        until(lambda: self.answers() == ["done"], "the answer")
+
     def run_switched_on(self, settings):
         """Record in real time until an operator has switched the supply on and its charge is stored."""
         with self.recording(settings):
-            until(self.has_started, "the recorder")
-            self.order("supply_on")
-            until(lambda: self.answers() == ["done"], "the answer")
+            self.switch_on()
             until(self.has_charge, "a set with its charge")
 
     def switchings(self):
@@ -255,10 +236,7 @@ def test_the_output_is_switched_off_after_the_final_end_of_a_recorder(test, erro
 
     with pytest.raises(error):
         test.run(
-            test.settings(watchdog_timeout_s=WATCHDOG_S, sets=600),
-            after={1: lambda: test.order("supply_on")},
-            rig=rig,
-            wall_clock=WallClock,
+            test.settings(watchdog_timeout_s=WATCHDOG_S), after={1: lambda: test.order("supply_on")}, rig=rig
         )
     test.is_switched_off_unwatched()
 
@@ -267,9 +245,7 @@ def test_a_killed_supply_process_is_unknown_and_its_successor_energizes_nothing(
     settings = test.settings(off_at_end=False)
     with test.recording(settings):
         until(lambda: is_owned(test.folder, DRIVE_LOCK), "the drive")
-        until(test.has_started, "the recorder")
-        test.order("supply_on")
-        until(lambda: test.answers() == ["done"], "the answer")
+        test.switch_on()
         first = test.drive()
         os.kill(first, signal.SIGKILL)
         found = until(lambda: test.alarms() or None, "the alarm")
@@ -294,9 +270,7 @@ def started(test, word, settings):
     command += ["--no-web"] if word == "run" else []
     with subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL) as process:
         try:
-            until(test.has_started, "the recorder")
-            test.order("supply_on")
-            until(lambda: test.answers() == ["done"], "the answer")
+            test.switch_on()
             yield process
         finally:
             process.kill()
@@ -318,7 +292,7 @@ def recorder_of(test):
     ids=["recorder alone", "supervisor", "supervisor and recorder"],
 )
 def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(test, word, killed):
-    settings = test.settings(watchdog_timeout_s=WATCHDOG_S, sets=600)
+    settings = test.settings(watchdog_timeout_s=WATCHDOG_S)
     with started(test, word, settings) as process:
         recorder = recorder_of(test)
         for name in killed:
@@ -328,10 +302,10 @@ def test_the_output_is_switched_off_after_a_kill_when_no_recorder_returns(test, 
         until(lambda: is_owned(test.folder) is False, "the recorder's end")
 
 
-def test_a_recorder_that_its_supervisor_starts_again_goes_on(test):
-    with started(test, "run", test.settings(sets=600)) as process:
+def test_a_hung_recorder_is_killed_and_its_successor_goes_on(test):
+    with started(test, "run", test.settings()) as process:
         drive, recorder = test.drive(), recorder_of(test)
-        os.kill(recorder, signal.SIGKILL)
+        os.kill(recorder, signal.SIGSTOP)
         until(lambda: recorder_of(test) != recorder, "another recorder")
         before = test.charge_coulomb()
         until(lambda: test.charge_coulomb() > before, "a set with its charge")
@@ -341,6 +315,12 @@ def test_a_recorder_that_its_supervisor_starts_again_goes_on(test):
         ended(process, "Ctrl-C")
     assert process.returncode == 130
     assert test.switchings() == [True, False], "off at the end"
+    with open_catalogue(test.folder) as catalogue:
+        starts = [row.payload["before"] for row in catalogue.rows(EventRow, kind="recorder_started")]
+        missed = [row.reason for row in catalogue.rows(SetRow, state="missed")]
+    # A busy machine may take so long for a start that it counts as hung, too.
+    assert any("hung while" in (before or "") for before in starts)
+    assert any("hung while" in reason for reason in missed), "the sets of that time are gaps with their cause"
 
 
 def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test):
@@ -374,12 +354,10 @@ def test_the_supply_process_runs_once_and_switches_off_when_it_is_stopped(test):
 
 
 @contextmanager
-def energised(test, **supply):
+def energised(test):
     """Yield a recorder in real time whose supply an operator has switched on."""
-    with test.recording(test.settings(**supply)):
-        until(test.has_started, "the recorder")
-        test.order("supply_on")
-        until(lambda: test.answers() == ["done"], "the answer")
+    with test.recording(test.settings()):
+        test.switch_on()
         yield
 
 
