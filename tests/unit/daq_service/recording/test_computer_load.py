@@ -5,18 +5,12 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from support.kept_folder import SETS as KEPT_SETS
-from support.kept_folder import lay_out
 from support.machine import Machine
 from support.memory_line import SETS, Line, healthy
 
-from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.rows import EventRow
 from daq_service.processes import resource_use as own_use
 from daq_service.processes.disk_policy import DiskSpace
 from daq_service.recording.computer_load import MACHINE_READ, ComputerLoadWatch
-from daq_service.recording.reassessment.rebuild import rebuild
 from daq_service.recording.recorder import Cost
 from hardware_drivers.errors import AcquisitionTimeoutError
 from simulator.clock import SimulatedClock
@@ -93,18 +87,3 @@ def test_each_taken_set_has_one_reading_and_a_missed_one_has_none(tmp_path):
     assert [row.set_index for row in events] == [index for index in range(SETS) if index != 3]
     assert {row.kind for row in events} == {MACHINE_READ}
     assert len({row.payload["recorder_wall_utc_ns"] for row in events}) == 1
-
-
-def test_a_rebuilt_catalogue_has_every_reading(tmp_path):
-    folder = lay_out(tmp_path / "data")
-
-    def kept():
-        with open_catalogue(folder) as catalogue:
-            return catalogue.rows(EventRow, topic="machine")
-
-    before = kept()
-    assert [row.set_index for row in before] == list(range(KEPT_SETS))
-    for name in (FILE_NAME, f"{FILE_NAME}-wal", f"{FILE_NAME}-shm"):
-        (folder / name).unlink(missing_ok=True)
-    rebuild(folder)
-    assert kept() == before
