@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from axe_playwright_python.sync_playwright import Axe
 from support.browser_pages import PHONE, dashboard, expect, query, show, watched_pages
 from support.filled_folder import filled_folder
 from support.invented_rows import event_row
@@ -22,7 +21,6 @@ pytestmark = pytest.mark.browser
 N_SETS, SHOTS, END_H = 24, 2, 14.0
 MISSED = {9, 10, 11}
 BAD = 15
-WALL = {"width": 1920, "height": 1080}
 SETTINGS = Settings(
     ultrasound={"delay_s": 1e-6}, schedule={"end_h": END_H, "phases": [{"until_h": END_H, "interval_h": 0.5}]}
 )
@@ -367,18 +365,3 @@ def test_no_difference_is_requested_before_a_baseline_exists(tmp_path, open_page
             filled.catalogue.commit_set(SetCommit(assessments=[assessment], events=[event]))
             until(lambda: shown(page)["ready"], "the difference is drawn once there is one")
             assert shown(page)["header"]["baseline_sets"] == 1
-
-
-@pytest.mark.parametrize("viewport", [PHONE, pytest.param(WALL, marks=pytest.mark.slow)], ids=["390", "1920"])
-def test_the_page_fits_and_is_accessible_in_both_themes(service, open_page, viewport):
-    page = open_page(f"{service.url}?theme=dark&position=B", viewport=viewport)
-    drawn(page)
-    assert page.evaluate("document.documentElement.scrollWidth") <= viewport["width"]
-    for theme in ("dark", "light"):
-        if theme == "light":
-            show(page, "?theme=light&position=B")
-            page.locator("#waterfall .plot").scroll_into_view_if_needed()
-            expect(page.locator("#theme")).to_have_text("Theme: light")
-            drawn(page)
-        found = Axe().run(page, context="#waterfall")
-        assert found.violations_count == 0, found.generate_report()

@@ -4,7 +4,7 @@ import h5py
 import numpy as np
 import pytest
 
-from daq_service.archive.chunk import filtered_chunk
+from daq_service.archive.chunk import filtered_chunk, fletcher32
 from daq_service.archive.nexus import add_field, image_file, image_of, open_root
 
 SAMPLES = 13_000
@@ -74,3 +74,12 @@ def test_noise_in_the_low_bytes_is_stored_and_the_high_bytes_get_shorter(tmp_pat
     low = values.view(np.uint8)[0, ::2].tobytes()
     assert low in filtered_chunk(values)
     assert ours < 0.97 * theirs
+
+
+@pytest.mark.parametrize("n", [1, 2, 3, 1_000, 1_001])
+def test_a_sum_that_is_a_multiple_of_65535_is_written_as_by_hdf5(tmp_path, n):
+    values = np.full(n, 255, dtype=np.uint8)
+    with h5py.File(tmp_path / "sum.h5", "w") as file:
+        dataset = file.create_dataset("values", data=values, chunks=(n,), fletcher32=True)
+        _, chunk = dataset.id.read_direct_chunk((0,))
+    assert fletcher32(values.tobytes()) == int.from_bytes(chunk[-4:], "little")

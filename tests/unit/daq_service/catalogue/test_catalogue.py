@@ -9,8 +9,9 @@ from functools import partial
 import numpy as np
 import pytest
 from support import invented_rows
-from support.filled_folder import frozen_baseline
+from support.filled_folder import filled_folder, frozen_baseline
 from support.invented_rows import HOUR_0_NS, alarm_row, shot_row
+from support.new_experiment import new_catalogue
 
 from daq_service.catalogue import SetCommit, check_owner, connection, errors, open_catalogue, stored_rows
 from daq_service.catalogue.errors import (
@@ -31,26 +32,12 @@ from daq_service.settings.tree import Settings
 from daq_service.shared_file import patiently
 from hardware_drivers.measurement import SetKey
 
-HASH = "ab" * 32
 NAN = float("nan")
-
-
-def begin(folder, configuration_hash=HASH):
-    catalogue = open_catalogue(folder, writer=True)
-    catalogue.create_experiment(
-        name="test",
-        configuration_hash=configuration_hash,
-        configuration={"plate": {"thickness_m": 0.00635}},
-        epoch_utc_ns=HOUR_0_NS,
-        clock="simulated",
-        solimon_version="0.1.0",
-    )
-    return catalogue
 
 
 @pytest.fixture
 def writer(tmp_path):
-    with begin(tmp_path) as catalogue:
+    with new_catalogue(tmp_path) as catalogue:
         yield catalogue
 
 
@@ -127,7 +114,7 @@ def test_a_file_that_is_no_database_is_corrupt(tmp_path, writer):
 
 @pytest.mark.parametrize("often", [1, 10**9])
 def test_an_incomplete_catalogue_is_read_again_and_a_corrupt_one_is_reported(tmp_path, monkeypatch, often):
-    begin(tmp_path).close()
+    new_catalogue(tmp_path).close()
     found = iter(range(often))
 
     class IncompleteCatalogue(sqlite3.Connection):
@@ -162,8 +149,10 @@ def test_a_network_folder_is_refused(tmp_path, monkeypatch):
         open_catalogue(tmp_path, writer=True)
 
 
-def test_a_folder_of_another_configuration_is_rejected_with_both_hashes(tmp_path, writer):
+def test_a_folder_of_another_configuration_is_rejected_with_both_hashes(tmp_path):
     other = Settings(plate={"thickness_m": 0.006})
+    with filled_folder(tmp_path):
+        pass
     for look in (
         check_owner,
         lambda settings, folder: open_catalogue(folder, writer=True, settings=settings),
@@ -171,7 +160,7 @@ def test_a_folder_of_another_configuration_is_rejected_with_both_hashes(tmp_path
         with pytest.raises(OtherExperimentError) as caught:
             look(other, tmp_path)
         message = str(caught.value)
-        assert HASH in message
+        assert Settings().configuration_hash() in message
         assert other.configuration_hash() in message
         assert "plate.thickness_m began with 0.00635, is 0.006 now" in message
         assert "--data-dir" in message
@@ -179,18 +168,10 @@ def test_a_folder_of_another_configuration_is_rejected_with_both_hashes(tmp_path
 
 def test_the_experiment_is_made_once(tmp_path, writer):
     first = writer.experiment_row()
-    with begin(tmp_path) as again:
-        assert again.experiment_row() == first
-    assert first.configuration == {"plate": {"thickness_m": 0.00635}}
+    other = {"configuration": {}, "epoch_utc_ns": 7, "clock": "wall", "solimon_version": "1"}
+    assert writer.create_experiment(name="x", configuration_hash="0", **other) == first
     with pytest.raises(OtherExperimentError):
-        writer.create_experiment(
-            name="x",
-            configuration_hash="cd" * 32,
-            configuration={},
-            epoch_utc_ns=0,
-            clock="wall",
-            solimon_version="0",
-        )
+        writer.create_experiment(name="test", configuration_hash="cd" * 32, **other)
     assert writer.experiment_row() == first
 
 
@@ -212,7 +193,7 @@ def test_a_reader_cannot_change_anything_but_commands(reader):
 def test_a_folder_may_have_any_name(tmp_path):
     folder = tmp_path / "50 % of #1? größer"
     folder.mkdir()
-    with begin(folder) as writer:
+    with new_catalogue(folder) as writer:
         writer.commit_set(commit_of(0))
     with open_catalogue(folder) as reader:
         assert reader.counts()["sets"] == 1, "after the end of the recorder, too"
@@ -251,27 +232,18 @@ def test_a_rejected_row_rejects_the_whole_set(writer, reader):
     assert writer.committed_sets() == {SetKey(0), SetKey(1)}
 
 
-@pytest.mark.parametrize(
-    "commit",
-    [
-        SetCommit(sets=[set_row(0, "B")]),
-        SetCommit(shots=[shot_row(9, "B", 0, 1)]),
-        SetCommit(shots=[shot_row(0, "B", 0, 999)]),
-        SetCommit(features=[feature_row(0, "B", None)]),
-        SetCommit(assessments=[assessment_row(0, "B")]),
-        SetCommit(features=[feature_row(9, "B", 0, sequence=4711)]),
-        SetCommit(sets=[set_row(5, "B", method=None)]),
-    ],
-    ids=[
-        "set twice",
-        "sequence twice",
-        "shot twice",
-        "set feature twice",
-        "verdict twice",
-        "no shot",
-        "incomplete",
-    ],
-)
+CONTRADICTING = {
+    "set twice": SetCommit(sets=[set_row(0, "B")]),
+    "sequence twice": SetCommit(shots=[shot_row(9, "B", 0, 1)]),
+    "shot twice": SetCommit(shots=[shot_row(0, "B", 0, 999)]),
+    "set feature twice": SetCommit(features=[feature_row(0, "B", None)]),
+    "assessment twice": SetCommit(assessments=[assessment_row(0, "B")]),
+    "no shot": SetCommit(features=[feature_row(9, "B", 0, sequence=4711)]),
+    "incomplete": SetCommit(sets=[set_row(5, "B", method=None)]),
+}
+
+
+@pytest.mark.parametrize("commit", CONTRADICTING.values(), ids=CONTRADICTING)
 def test_rows_that_contradict_the_stored_ones_are_refused(writer, commit):
     writer.commit_set(commit_of(0))
     with pytest.raises(CatalogueConflictError):
@@ -601,7 +573,7 @@ def test_a_full_disk_rejects_the_set_and_keeps_the_stored_rows(writer, reader):
 
 def test_a_writer_that_sqlite_opened_read_only_connects_again(tmp_path, monkeypatch):
     """After one failed open, SQLite silently opens the file read-only: nothing would be stored."""
-    begin(tmp_path).close()
+    new_catalogue(tmp_path).close()
     connect, refused = sqlite3.connect, []
 
     def once_for_reading(path, **options):

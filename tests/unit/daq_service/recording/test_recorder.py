@@ -682,17 +682,6 @@ def test_a_disabled_transducer_is_not_struck_and_the_others_are(line):
     assert states(line, "B") == ["done"] * SETS
 
 
-def test_a_silent_transducer_raises_no_data_and_is_then_disabled(line):
-    line.script = lambda key: silent("noisy") if key.position == "D" and key.set_index >= 2 else healthy(key)
-    line.run()
-    alarms = {row.kind: row for row in line.rows("alarms") if row.position == "D"}
-    assert (alarms["few_valid_shots"].raised_set_index, alarms["transducer_disabled"].raised_set_index) == (
-        3,
-        4,
-    )
-    assert states(line, "D") == ["done"] * 5 + ["disabled"] * (SETS - 5)
-
-
 def test_a_transducer_without_any_record_raises_no_data_and_is_then_disabled(line):
     line.script = lambda key: None
     line.run()

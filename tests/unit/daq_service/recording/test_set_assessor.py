@@ -13,7 +13,6 @@ from support.table_rows import forget_states
 from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition.schedule import plan
 from daq_service.archive.errors import ArchiveReadError
-from daq_service.catalogue import SetCommit
 from daq_service.clock import parse_utc
 from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.errors import ConnectionLostError
@@ -261,16 +260,6 @@ def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
     )
     line.run()
     assert {(row.position, row.kind) for row in line.alarms()} == {("C", "no_reflection")}
-
-
-def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
-    line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
-    with recorded(line, 2) as (ledger, again, records):
-        ledger.assessors.enable("D")
-        ledger.commit(SetCommit())
-        assert restored_states(again)["D"] == bits(ledger.assessors["D"].state)
-        assess_set(ledger, again, *records[2])
-        assert "D" not in ledger.disabled()
 
 
 def run_until(line, position, set_index, script, **parts):

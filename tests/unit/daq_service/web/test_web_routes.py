@@ -124,8 +124,6 @@ def test_ranges_include_their_start_and_exclude_their_end(api):
     [
         ("/api/v1/sets", 4 * N_SETS),
         ("/api/v1/features?scope=shot", 6 * N_SETS),
-        ("/api/v1/assessments?position=D", N_SETS),
-        ("/api/v1/thickness", N_SETS),
         ("/api/v1/environment", N_SETS - 2),
         ("/api/v1/alarms", 2),
     ],
