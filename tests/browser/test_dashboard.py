@@ -8,13 +8,13 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
-from support.browser_pages import PHONE, dashboard, expect, query, watched_pages
+from support.browser_pages import dashboard, expect, query, watched_pages
 from support.filled_folder import LIMIT_CHART, FilledFolder, filled_folder, frozen_baseline
+from support.invented_rows import event_row
 from support.served_web import served, served_app
 from support.waiting import until
 
 from daq_service.catalogue import SetCommit
-from daq_service.catalogue.rows import EventRow
 from daq_service.corrosion_drive.charge import DriveState
 from daq_service.corrosion_drive.supply_state import stored_state_now, write_stored_state
 from daq_service.processes.data_folder import DRIVE_FILE, own_data_folder
@@ -190,15 +190,7 @@ def test_a_baseline_that_is_assessed_later_is_drawn_again(tmp_path, open_page):
             page = open_page(service.url)
             expect(page.locator("#tof")).to_have_attribute("data-points", "3")
             expect(page.locator("#distance")).to_have_attribute("data-points", "0")
-            due = filled.due[2]
-            event = EventRow(
-                utc_ns=due.due_utc_ns,
-                topic="assessments",
-                kind="baseline_frozen",
-                position="B",
-                set_index=2,
-                payload={},
-            )
+            event = event_row("baseline_frozen", "assessments", position="B", set_index=2)
             assessments = [filled.assessment("B", index, filled.due[index].due_h) for index in range(3)]
             filled.catalogue.commit_set(SetCommit(assessments=assessments, events=[event]))
             expect(page.locator("#distance")).to_have_attribute("data-points", "3")
@@ -380,27 +372,6 @@ def test_positions_are_chosen_by_keyboard_and_charts_read_by_it_and_as_a_table(h
     with historian.client() as api:
         last = api.get("/api/v1/trends/B").json()["columns"]["tof_pp_s"][-1]
     expect(rows.first).to_contain_text(f"{1e6 * last:.3f}")
-
-
-def test_phone_width_shows_everything_without_sideways_scrolling(filled, service, open_page):
-    filled.add_environment(N_SETS - 1)
-    filled.retire("C", N_SETS)
-    filled.say(
-        "pause", filled.due[N_SETS - 1].due_utc_ns, paused=f"paused by ann: {'very long reason ' * 10}"
-    )
-    # A page opened later shows the pause, too.
-    page = open_page(service.url, viewport=PHONE)
-    for color_scheme in ("light", "dark"):
-        page.emulate_media(color_scheme=color_scheme)
-        wait_for_sets(page, N_SETS)
-        for name in ("paused", "disabled", "environment"):
-            expect(page.locator(f"#{name}")).to_be_visible()
-        assert page.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]
-        for name in ("waveform", "distance", "tof", "amplitude-ratio", "thickness"):
-            box = page.locator(f"#{name} canvas").bounding_box()
-            assert box["width"] > 250
-            assert box["x"] >= 0
-            assert box["x"] + box["width"] <= PHONE["width"]
 
 
 def test_a_page_that_was_opened_first_asks_for_the_first_shot_and_fills_itself(tmp_path, open_page):

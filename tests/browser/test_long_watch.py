@@ -45,18 +45,6 @@ def ink(page):
     return page.evaluate("getComputedStyle(document.documentElement).getPropertyValue('--ink').trim()")
 
 
-def test_a_tab_that_slept_shows_what_came_meanwhile(filled, page):
-    before = n_drawn(page)
-    life = page.context.new_cdp_session(page)
-    life.send("Page.setWebLifecycleState", {"state": "frozen"})
-    for index in range(before, before + 5):
-        filled.add_set(index, stored=False)
-    life.send("Page.setWebLifecycleState", {"state": "active"})
-    until(lambda: n_drawn(page) == before + 5, "all sets are drawn")
-    assert dashboard(page, "charts.tof.opens") == list(range(before + 5))
-    expect(page.locator("#connection")).to_have_text("Live")
-
-
 @pytest.mark.slow
 def test_a_page_that_is_left_through_a_whole_test_does_not_grow(filled, page, capsys):
     devtools = page.context.new_cdp_session(page)

@@ -45,7 +45,7 @@ def filled(tmp_path_factory):
         folder.assessment = with_an_outlier
         for index in range(N_SETS):
             # The ghost is some set of the baseline: all of these have their records.
-            folder.add_set(index, stored=index < 48 or index in STORED)
+            folder.add_set(index, stored=index < 48 or index in STORED, shown=index == LAST)
         folder.add_alarm("C", LAST - 1)
         folder.add_environment(LAST)
         yield folder
@@ -247,19 +247,6 @@ def test_a_missing_answer_is_shown_with_the_age_of_the_data(filled, service, ope
     expect(failing).to_contain_text(re.compile(r"was read \d+ (s|min) ago"))
 
 
-def test_an_open_set_fits_every_width(filled, service, open_page):
-    page = open_page(f"{service.url}?position=B&set={LAST}", viewport=PHONE)
-    expect(page.locator("#set")).to_have_attribute("data-waveforms", str(SHOTS))
-    # The set of an address is read first: units, neighbours and baseline come after it.
-    expect(page.locator("#set")).to_contain_text("Time of flight, peak to peak")
-    until(lambda: any("baseline" in label for label in dashboard(page, "set.labels")), "the ghost is drawn")
-    expect(page.get_by_role("button", name="Next set")).to_be_enabled()
-    for width in (PHONE["width"], 1920):
-        page.set_viewport_size({"width": width, "height": 900})
-        assert page.evaluate("innerWidth") == width
-        until(lambda width=width: page.evaluate("document.documentElement.scrollWidth") <= width, "it fits")
-
-
 def test_an_outlier_is_visible_in_its_bin_and_a_zoom_shows_single_sets(filled, service, browser):
     context = browser.new_context(viewport=DESK)
     # As a test of many sets, without recording them.
@@ -280,24 +267,41 @@ def test_an_outlier_is_visible_in_its_bin_and_a_zoom_shows_single_sets(filled, s
     context.close()
 
 
-def test_every_state_is_accessible_in_both_themes(filled, service, open_page):
+def test_every_state_is_accessible_in_both_themes_and_fits_every_width(filled, service, open_page):
     """Retired, held, stale and lost: what is old or gone must be as readable as what is new."""
     index = 1 + filled.catalogue.rows(SetRow, position="B")[-1].set_index
     filled.retire("C", index)
     filled.add_environment(index)
-    filled.say("pause", filled.due[index].due_utc_ns, paused="paused by ann: hands in the rig")
-    off = DriveState(tripped="no recorder was heard")
-    write_stored_state(filled.folder, stored_state_now(off, output="off", age_s=2.0))
+    filled.say("pause", filled.due[index].due_utc_ns, paused=f"paused by ann: {'very long reason ' * 10}")
     # The experiment has gone on for hours without a set.
     filled.say("orders", filled.due[index + 40].due_utc_ns, text="anything")
     page = open_page(f"{service.url}?position=B&set={LAST}&compare=D&from_h=2&to_h=26&axis=local")
     expect(page.locator("#set")).to_have_attribute("data-waveforms", str(SHOTS))
+    # The set of an address is read first: units, neighbours and baseline come after it.
+    expect(page.locator("#set")).to_contain_text("Time of flight, peak to peak")
+    until(lambda: any("baseline" in label for label in dashboard(page, "set.labels")), "the ghost is drawn")
+    expect(page.get_by_role("button", name="Next set")).to_be_enabled()
     expect(page.locator("#paused")).to_be_visible()
     expect(page.locator("#disabled")).to_be_visible()
+    expect(page.locator("#environment")).to_be_visible()
+    for width in (1920, PHONE["width"]):
+        page.set_viewport_size({"width": width, "height": 900})
+        until(lambda width=width: page.evaluate("document.documentElement.scrollWidth") <= width, "it fits")
+    for name in ("waveform", "distance", "tof", "amplitude-ratio", "thickness"):
+        box = page.locator(f"#{name} canvas").bounding_box()
+        assert box["width"] > 250
+        assert 0 <= box["x"] <= PHONE["width"] - box["width"]
+    page.set_viewport_size(DESK)
+    off = DriveState(tripped="no recorder was heard")
+    write_stored_state(filled.folder, stored_state_now(off, output="off", age_s=2.0))
+    page.reload()
+    expect(page.locator("#set")).to_have_attribute("data-waveforms", str(SHOTS))
     expect(page.locator('#environment [data-quality="no_communication"]')).to_be_visible()
     expect(page.locator('#environment [data-quality="stale"]')).to_be_visible()
     expect(page.locator('.tile[data-position="B"]')).to_have_attribute("data-stale", "true")
     expect(page.locator('.tile[data-position="C"]')).to_have_attribute("data-state", "disabled")
+    page.locator("#waterfall .plot").scroll_into_view_if_needed()  # what is not seen is not asked for
+    until(lambda: dashboard(page, "waterfall")["ready"], "the waterfall is drawn")
     axe = Axe()
     for scheme in ("light", "dark"):
         page.emulate_media(color_scheme=scheme)

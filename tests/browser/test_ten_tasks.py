@@ -144,6 +144,8 @@ def is_shelved_for_eight_hours(page, api, filled):
     ends = shelved["shelved_until_utc"]
     assert parse_utc(ends) - parse_utc(shelved["utc"]) == 8 * NS_PER_H
     expect(alarm).to_contain_text(f"shelved until {ends[:10]} {ends[11:16]} UTC by ann: known leak")
+    expect(page.locator("#alarms")).to_contain_text("1 shelved or out of service")
+    expect(page.locator('#tiles [data-position="C"]')).to_contain_text("1 shelved or out of service, until")
 
 
 def is_who_held_it_yesterday(page, api, filled):

@@ -333,6 +333,18 @@ class Line:
         if self.runs:
             self._give_orders()
 
+    def order_at(self, key: ShotKey, kind: str, **arguments: Any) -> None:
+        """Let the script send a command once, when a shot is read; it is received before the next strike."""
+        script, left = self.script, [key]
+
+        def ordering(key_of_shot: ShotKey) -> Answer:
+            if key_of_shot in left:
+                left.clear()
+                self.order(kind, **arguments)
+            return script(key_of_shot)
+
+        self.script, self.listen_every_s = ordering, 0.0
+
     def _give_orders(self) -> None:
         with self.catalogue() as catalogue:
             for given in self.given:

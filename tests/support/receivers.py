@@ -15,6 +15,8 @@ from typing import Any
 
 from support.waiting import WAIT_S, MachineTooSlowError
 
+POLL_S = 0.01
+
 
 @dataclass(frozen=True, slots=True)
 class Got:
@@ -84,7 +86,7 @@ def http_receiver(*, tls: Path | None = None) -> Iterator[HttpReceiver]:
         context.load_cert_chain(tls / "certificate.pem", tls / "key.pem")
         server.socket = context.wrap_socket(server.socket, server_side=True)
     receiver = HttpReceiver(f"http{'s' if tls else ''}://127.0.0.1:{server.server_address[1]}/hook")
-    thread = threading.Thread(target=server.serve_forever, name="receiver")
+    thread = threading.Thread(target=server.serve_forever, args=(POLL_S,), name="receiver")
     thread.start()
     try:
         yield receiver

@@ -5,6 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Executor, Future
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import fields, replace
 from pathlib import Path
@@ -60,6 +61,15 @@ class AtOnce(Executor):
             future.set_result(work(*arguments, **named))
         except Exception as error:  # noqa: BLE001 - an executor hands over whatever it is
             future.set_exception(error)
+        return future
+
+
+class BrokenExecutor(Executor):
+    """Executor whose worker was killed."""
+
+    def submit(self, work: Callable[..., Any], /, *arguments: Any, **named: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        future.set_exception(BrokenProcessPool("killed"))
         return future
 
 

@@ -1,10 +1,8 @@
 """The client returns the same numbers from a folder and a service, which are those of the API."""
 
-import itertools
 import os
 import subprocess
 import sys
-import threading
 
 import httpx
 import numpy as np
@@ -201,32 +199,6 @@ def test_events_are_followed_from_the_last_one(way, filled, request):
     assert event.data["payload"]["text"] == "one"
     again = next(test.follow("service", after=event.id))
     assert again.data["payload"]["text"] == "two"
-
-
-def test_following_outlives_restarts_of_service_and_recorder(tmp_path):
-    with filled_folder(tmp_path, sets=1, stored=True) as folder:
-        texts = []
-        with served(folder.settings, tmp_path) as first:
-            test = client.open(first.url)
-            reading = threading.Thread(
-                target=lambda: texts.extend(
-                    event.data["payload"]["text"] for event in itertools.islice(events, 3)
-                )
-            )
-            before = test.info()["last_event_id"]
-            assert before > 0
-            events = test.follow("service", after=before)
-            folder.say("noted", text="one")
-            reading.start()
-            port = int(first.netloc.rpartition(":")[2])
-        # No service runs: present events are received afterwards, with the recorder's restart.
-    with filled_folder(tmp_path, exists=True) as again:
-        again.say("noted", text="two")
-        with served(again.settings, tmp_path, port=port):
-            again.say("noted", text="three")
-            reading.join(60.0)
-            assert texts == ["one", "two", "three"]
-        test.close()
 
 
 def test_a_token_is_sent_as_a_bearer_s(monkeypatch):

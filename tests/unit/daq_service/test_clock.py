@@ -1,12 +1,6 @@
 import pytest
 
-from daq_service.clock import (
-    WINDOWS_BOOT_COUNTER,
-    boot_id,
-    boot_name,
-    format_utc,
-    parse_utc,
-)
+from daq_service.clock import WINDOWS_BOOT_COUNTER, boot_id, boot_name, format_utc, parse_utc
 from hardware_drivers.nanoseconds import NS_PER_H, NS_PER_S
 from simulator.clock import SimulatedClock
 

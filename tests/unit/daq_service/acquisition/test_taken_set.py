@@ -128,14 +128,7 @@ def test_outcomes_are_listed_by_position():
 
 
 def test_a_stored_set_counts_strikes_misses_and_repetitions():
-    record = replace(
-        make_set(),
-        missed=[
-            missed("B", 0, 1),
-            missed("C", 1),
-            missed("C", 1, 1),
-        ],
-    )
+    record = replace(make_set(), missed=[missed("B", 0, 1), missed("C", 1), missed("C", 1, 1)])
     # B: shots 0 and 1, each repeated, one repetition without a record. C: shot 0 and a silent shot 1.
     counts = {name: (record.n_tried(name), record.n_missed(name), record.n_restrikes(name)) for name in "BCD"}
     assert counts == {"B": (2, 1, 2), "C": (2, 2, 1), "D": (0, 0, 0)}

@@ -42,11 +42,7 @@ def test_a_cleared_alarm_waits_for_its_acknowledgement():
     assert change.row.state == "returned_unacknowledged"
     assert change.row.cleared_utc_ns == moment(4).utc_ns
     seen = acknowledge(change.row, "ann", "looked at it", moment(5))
-    assert (seen.row.state, seen.row.acknowledged_by, seen.row.note) == (
-        "normal",
-        "ann",
-        "looked at it",
-    )
+    assert (seen.row.state, seen.row.acknowledged_by, seen.row.note) == ("normal", "ann", "looked at it")
 
 
 def test_a_reactivated_alarm_needs_a_new_acknowledgement_and_has_the_present_message():

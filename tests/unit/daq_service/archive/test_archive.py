@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from support.archived_sets import (
     CURVED,
-    DUE_UTC_NS,
     LINEAR,
     SET_INDEX,
     assert_same_set,
@@ -19,17 +18,10 @@ from support.archived_sets import (
     make_shot,
     other_set,
 )
-from support.damaging import flip
 from support.filed_archive import FiledArchive
 from support.stored_files import read_set, read_waveform, set_files, verify_set
 
-from daq_service.archive import (
-    ArchiveWriteError,
-    CorruptArchiveError,
-    PositionRecord,
-    SetRecord,
-    waveform_crc32,
-)
+from daq_service.archive import ArchiveWriteError, CorruptArchiveError, PositionRecord, waveform_crc32
 from daq_service.archive.layout import build_image
 from daq_service.archive.nexus import image_file, image_of
 from daq_service.errors import StorageError
@@ -52,10 +44,6 @@ def test_the_checksum_is_that_of_the_little_endian_counts():
     counts = np.frombuffer(b"12345678", dtype="<i2").astype(np.int16)
     shot = make_shot("B", 0, 1)
     assert waveform_crc32(replace(shot.waveform, counts=counts, pretrigger_samples=0)) == 0x9AE0DAAF
-
-
-def test_the_same_set_gives_the_same_bytes():
-    assert build_image(make_set()) == build_image(make_set())
 
 
 def test_images_may_be_built_at_the_same_time_and_leave_no_file(tmp_path, monkeypatch):
@@ -136,13 +124,7 @@ def test_a_file_of_format_1_0_is_read(stored):
     without_settings = [replace(shot, settings={}, truth=dict(shot.truth)) for shot in record.shots]
     echo = replace(record.echoes[0], settings={}, truth=dict(record.echoes[0].truth))
     before = replace(
-        record,
-        shots=without_settings,
-        echoes=[echo],
-        missed=[],
-        outcomes={},
-        trouble="",
-        environment={},
+        record, shots=without_settings, echoes=[echo], missed=[], outcomes={}, trouble="", environment={}
     )
     assert_same_set(read_set(stored), before)
     assert verify_set(stored) == []
@@ -197,15 +179,6 @@ def test_counts_changed_with_valid_hdf5_checksums_fail_their_crc(stored):
     (damage,) = verify_set(stored)
     assert (damage.sequence, damage.position, damage.shot_index) == (43, "B", 1)
     assert "CRC-32" in damage.reason
-
-
-def test_corruption_outside_the_shots_is_detected(stored):
-    with h5py.File(stored) as file:
-        offset = file["entry/provenance/data"].id.get_chunk_info(0).byte_offset
-    flip(stored, offset + 20)
-    (damage,) = verify_set(stored)
-    assert damage.position is None
-    assert "provenance/data" in str(damage)
 
 
 def test_a_corrupt_group_costs_only_its_shots(stored):
@@ -282,15 +255,6 @@ def test_the_unit_follows_from_the_name(name, unit):
 
 def test_a_set_record_keeps_its_own_copy_of_the_lists():
     shots = [make_shot("B", 0, 1)]
-    record = SetRecord(
-        set_index=SET_INDEX,
-        due_utc_ns=DUE_UTC_NS,
-        due_h=1.0,
-        started_utc_ns=DUE_UTC_NS,
-        ended_utc_ns=DUE_UTC_NS,
-        rig_kind="simulated",
-        positions=[PositionRecord(position="B", method="solitary_wave", n_planned=1)],
-        shots=shots,
-    )
+    record = replace(make_set(), shots=shots, outcomes={})
     shots.clear()
     assert len(record.shots) == 1

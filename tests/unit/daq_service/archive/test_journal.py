@@ -12,6 +12,7 @@ from support.archived_sets import DUE_UTC_NS, SET_INDEX, counts_of, make_set, ot
 from support.damaging import flip
 from support.filed_archive import append_set
 from support.memory_archive import bits
+from support.refused_calls import refuse
 
 from daq_service.archive import (
     ArchiveWriteError,
@@ -50,24 +51,15 @@ def test_positions_that_an_earlier_version_left_out_are_restored(archive, tmp_pa
     assert (opened.due_utc_ns, opened.disabled) == (5, {"C": "worn"})
 
 
-class FailingCall:
-    """System call double that fails a number of times and counts its calls for each file."""
-
-    def __init__(self, call, times, error=errno.ENOSPC):
-        self.call, self.times, self.error = call, times, error
-        self.descriptors = []
-
-    def __call__(self, descriptor, *arguments):
-        self.descriptors.append(descriptor)
-        if len(self.descriptors) <= self.times:
-            raise OSError(self.error, os.strerror(self.error))
-        return self.call(descriptor, *arguments)
+def fail(monkeypatch, name, times, number=errno.ENOSPC):
+    """Let the next calls of the writer fail."""
+    refuse(monkeypatch, writer, name, OSError(number, os.strerror(number)), times=times)
 
 
 @pytest.mark.parametrize("name", ["write_all", "synchronise"])
 def test_after_a_write_error_data_go_to_a_new_segment(archive, tmp_path, monkeypatch, name):
     append_set(archive, make_set())
-    monkeypatch.setattr(writer, name, FailingCall(getattr(writer, name), 1))
+    fail(monkeypatch, name, 1)
     assert archive.sync() == [item.sequence for item in RECORDS]
     assert list(segments(tmp_path)) == [2]
     (opened,) = FolderArchive(tmp_path).open_sets().values()
@@ -84,7 +76,7 @@ def test_a_failed_sync_is_not_repeated_on_its_segment(archive, monkeypatch):
         return real(path, *arguments)
 
     monkeypatch.setattr(writer.os, "open", noting)
-    monkeypatch.setattr(writer, "synchronise", FailingCall(writer.synchronise, 2, errno.EIO))
+    fail(monkeypatch, "synchronise", 2, errno.EIO)
     with pytest.raises(ArchiveWriteError, match="Input/output error"):
         archive.sync()
     assert archive.sync() == [item.sequence for item in RECORDS]
@@ -97,7 +89,7 @@ def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_pa
     archive.begin_set(SetKey(SET_INDEX), due_utc_ns=1, started_utc_ns=1, disabled={})
     archive.append(first, 1)
     assert archive.sync() == [first.sequence]
-    monkeypatch.setattr(writer, name, FailingCall(getattr(writer, name), 20, errno.EIO))
+    fail(monkeypatch, name, 20, errno.EIO)
     for item in others:
         archive.append(item, 2)
         with pytest.raises(ArchiveWriteError):
@@ -110,7 +102,7 @@ def test_a_disk_that_fails_for_hours_is_not_filled_with_segments(archive, tmp_pa
 def test_rejected_writes_are_kept_and_acknowledged_later(archive, tmp_path, monkeypatch):
     append_set(archive, make_set())
     with monkeypatch.context() as patch:
-        patch.setattr(writer, "write_all", FailingCall(writer.write_all, 99))
+        fail(patch, "write_all", 99)
         for _ in range(2):
             with pytest.raises(ArchiveWriteError, match="free some space"):
                 archive.sync()
@@ -121,7 +113,7 @@ def test_rejected_writes_are_kept_and_acknowledged_later(archive, tmp_path, monk
 
 def test_a_nearly_full_disk_is_used_completely(archive, monkeypatch):
     """A record is written even if a whole segment does not fit."""
-    monkeypatch.setattr(writer.os, "posix_fallocate", FailingCall(os.posix_fallocate, 99), raising=False)
+    monkeypatch.setattr(writer.os, "posix_fallocate", no_file(errno.ENOSPC), raising=False)
     append_set(archive, make_set())
     assert archive.sync() == [item.sequence for item in RECORDS]
 

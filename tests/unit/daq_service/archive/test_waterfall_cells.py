@@ -1,20 +1,13 @@
 """Records reduced to cells: compared with the definition sample by sample and with known shifts."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.archived_sets import CURVED, make_shot
 from support.synthetic_records import Scene
 
-from daq_service.archive.waterfall.cells import (
-    anchors_of,
-    coarsen,
-    frame_of,
-    merge_planes,
-    planes_of_records,
-)
+from daq_service.archive.waterfall.cells import anchors_of, coarsen, frame_of, planes_of_records
 
 
 def by_definition(waveform, anchor_s, frame):
@@ -51,47 +44,6 @@ def test_a_frame_covers_the_whole_record_in_few_cells():
     assert frame.first_s <= -waveform.pretrigger_samples / waveform.sample_rate_hz
     aligned = frame_of(waveform, "first")
     assert aligned.first_s == pytest.approx(-0.5 * 13_000 / 10e6, abs=aligned.cell_s)
-
-
-def test_records_shifted_by_fractions_of_a_sample_are_aligned():
-    """The same pulse at 64 fractions of a sample: after alignment no peak is a cell off."""
-    scene = Scene(ssw_fraction=0.0)
-    frame = frame_of(scene.waveform(), "first").part(None, None, 1)
-    peaks, at_trigger = [], []
-    for k in range(64):
-        moved = scene.with_(isw_time_s=50e-6 + k * 0.37e-7)
-        row = planes_of_records([(moved.waveform(), moved.isw_time_s)], frame)
-        peaks.append(int(np.nanargmax(row[1])) + frame.first)
-        unmoved = planes_of_records([(moved.waveform(), 0.0)], frame)
-        at_trigger.append(int(np.nanargmax(unmoved[1])) + frame.first)
-    # A maximum between two samples appears at one of them, with a quantized flat top at a neighbor.
-    assert max(peaks) - min(peaks) <= 3
-    assert max(at_trigger) - min(at_trigger) == pytest.approx(63 * 0.37, abs=3)
-
-
-def test_whole_samples_are_shifted_exactly():
-    scene = Scene(noise_fraction=0.01)
-    waveform = scene.waveform()
-    frame = frame_of(waveform, "first")
-    row = planes_of_records([(waveform, 50e-6)], frame)
-    # As many cells later, to the last bit: 160 samples are 10 cells of 16.
-    later = planes_of_records([(waveform, 50e-6 - 160 / waveform.sample_rate_hz)], frame)
-    np.testing.assert_array_equal(later[:, 10:], row[:, :-10])
-
-
-def test_a_single_sample_survives_at_every_width():
-    waveform = Scene().waveform()
-    counts = waveform.counts.copy()
-    counts[7_777] = -32_000
-    spiked = replace(waveform, counts=counts)
-    spike = np.float32(spiked.volts()[7_777])
-    frame = frame_of(waveform, "trigger")
-    row = merge_planes([planes_of_records([(item, 0.0)], frame) for item in (waveform, spiked, waveform)])
-    for width in (16, 32, 64, 256, 1024, 16_384):
-        part = frame.part(None, None, width)
-        its = coarsen(row, frame, part)
-        assert np.nanmin(its) == spike
-        assert np.nanargmin(its[0]) + part.first == (7_777 - 1_000) // width
 
 
 @pytest.mark.parametrize("span", [(None, None), (-20e-6, 3e-6), (5e-6, 5.1e-6), (1.0, 2.0)])

@@ -41,11 +41,7 @@ SD = np.array([0.01] * 9 + [0.05] * 9 + [0.06, 0.003])
 SCATTER = (SD * RANDOM.standard_normal((SETS, 20))) @ np.array([*STIFFNESS, *DAMPING, DROP_HEIGHT, TILT])
 SCATTER += 1e-3 * RANDOM.standard_normal(SCATTER.shape)
 RAMP = np.clip((np.arange(SETS) - LAST) / (SETS - LAST), 0.0, None)[:, None]
-CHANGES = {
-    OK: np.zeros((SETS, 7)),
-    SENSOR: -0.5 * RAMP * np.array(GAIN),
-    WALL: RAMP * np.array(WALL_B[5]),
-}
+CHANGES = {OK: np.zeros((SETS, 7)), SENSOR: -0.5 * RAMP * np.array(GAIN), WALL: RAMP * np.array(WALL_B[5])}
 
 
 def sets(change):

@@ -1,28 +1,16 @@
 """Set files are made in the background: an error is reported and retried and costs no set."""
 
-from concurrent.futures import Executor, Future
-from concurrent.futures.process import BrokenProcessPool
-
 import pytest
 from support.archived_sets import SET_INDEX, make_set, other_set
 from support.damaging import flip
 from support.filed_archive import FiledArchive
 from support.machine import clock_in_seconds
-from support.small_experiment import AtOnce
+from support.small_experiment import AtOnce, BrokenExecutor
 
 from daq_service.archive import FolderArchive
 from daq_service.background import finalize_sets as module
 from daq_service.background.finalize_sets import AGAIN_AFTER_S, SetFinalizer
 from hardware_drivers.measurement import SetKey
-
-
-class BrokenExecutor(Executor):
-    """Worker double that was killed."""
-
-    def submit(self, work, /, *arguments, **named):
-        future = Future()
-        future.set_exception(BrokenProcessPool("killed"))
-        return future
 
 
 @pytest.fixture

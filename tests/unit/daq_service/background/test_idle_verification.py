@@ -1,8 +1,6 @@
 """Stored sets are verified in idle time, one at a time, never before a strike; corruption raises an alarm."""
 
 import math
-from concurrent.futures import Executor, Future
-from concurrent.futures.process import BrokenProcessPool
 from hashlib import sha256
 from types import SimpleNamespace
 
@@ -11,7 +9,7 @@ from support.archived_sets import SET_INDEX, make_set, other_set
 from support.filed_archive import FiledArchive
 from support.machine import Machine, clock_in_seconds
 from support.memory_line import Line, memory_settings
-from support.small_experiment import AtOnce
+from support.small_experiment import AtOnce, BrokenExecutor
 
 from daq_service.background.finalize_sets import SetFinalizer
 from daq_service.background.task import BackgroundTask
@@ -147,13 +145,7 @@ def test_corrupt_files_of_an_earlier_process_are_checked_first(tmp_path, stored)
 
 
 def test_a_killed_worker_is_no_corruption(tmp_path, stored):
-    class DyingExecutor(Executor):
-        def submit(self, work, /, *arguments, **named):
-            future = Future()
-            future.set_exception(BrokenProcessPool("killed"))
-            return future
-
-    assert IdleBench(tmp_path, DyingExecutor()).steps(3) == {}
+    assert IdleBench(tmp_path, BrokenExecutor()).steps(3) == {}
 
 
 class IdleCheckDouble(BackgroundTask):

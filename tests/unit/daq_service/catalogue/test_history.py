@@ -212,16 +212,6 @@ def test_a_history_of_another_experiment_is_refused_with_both(catalogue, followe
         HistoryFollower(tmp_path, catalogue).begin()
 
 
-def test_the_end_of_a_long_history_is_sufficient(catalogue, follower, tmp_path, monkeypatch):
-    add_events(catalogue, *("told" for _ in range(50)))
-    follower.follow()
-    monkeypatch.setattr("daq_service.catalogue.history.TAIL_BYTES", 1000)
-    add_events(catalogue, "new")
-    HistoryFollower(tmp_path, catalogue).begin()
-    history = read_history(tmp_path)
-    assert (len(history.events), history.last_number, history.damage) == (51, 52, [])
-
-
 @pytest.mark.parametrize(
     ("last", "is_damage"),
     [

@@ -5,7 +5,6 @@ from types import NoneType
 from typing import Literal, get_args, get_origin
 
 import pytest
-from sqlalchemy import JSON, BigInteger, Boolean, Float, Integer, String
 
 from analysis.waves.features import ALL_FEATURE_NAMES
 from daq_service.catalogue import rows
@@ -49,26 +48,6 @@ def test_a_table_has_the_fields_of_its_row_in_their_order(kind):
     for column in table.columns:
         if not column.primary_key and column.name != ROW_CRC32:
             assert column.nullable == (NoneType in hints[column.name]), column.name
-
-
-@pytest.mark.parametrize(
-    ("kind", "name", "of_type"),
-    [
-        (rows.ShotRow, "utc_ns", BigInteger),
-        (rows.ShotRow, "crc32", BigInteger),
-        (rows.ShotRow, "valid", Boolean),
-        (rows.ShotRow, "flags", JSON),
-        (rows.SetRow, "n_taken", Integer),
-        (rows.SetRow, "method", String),
-        (rows.SetRow, "ended_utc_ns", BigInteger),
-        (rows.FeatureRow, "tof_pp_s", Float),
-        (rows.AssessmentRow, "outlier", Boolean),
-        (rows.AssessmentRow, "contributions", JSON),
-        (rows.AlarmRow, "evidence", JSON),
-    ],
-)
-def test_a_column_is_of_the_type_that_holds_its_values(kind, name, of_type):
-    assert type(TABLES[kind].c[name].type) is of_type
 
 
 def test_features_are_the_columns_of_a_feature_row():

@@ -96,7 +96,6 @@ import os
 import sys
 from pathlib import Path
 import daq_service.catalogue.writer as writer
-import daq_service.commands.without_recorder as unattended
 from unit.daq_service.commands.test_without_recorder import acknowledge
 
 def dies(owner, name, *, after):
@@ -108,7 +107,6 @@ def dies(owner, name, *, after):
     setattr(owner, name, dying)
 
 match sys.argv[2]:
-    case "with the lock": dies(unattended.HistoryFollower, "begin", after=False)
     case "in the transaction": dies(writer, "stored_command", after=True)
     case "before the history": dies(writer.RecorderCatalogue, "commit_set", after=True)
 acknowledge(Path(sys.argv[1]))
@@ -116,14 +114,7 @@ acknowledge(Path(sys.argv[1]))
 """No clean-up and no exception: what a SIGKILL leaves, on Windows too."""
 
 
-@pytest.mark.parametrize(
-    ("point", "done"),
-    [
-        ("with the lock", False),
-        ("in the transaction", False),
-        ("before the history", True),
-    ],
-)
+@pytest.mark.parametrize(("point", "done"), [("in the transaction", False), ("before the history", True)])
 def test_a_killed_process_has_stored_all_changes_or_none(tmp_path, point, done):
     alarm_id = ended_test(tmp_path)
     tests = str(Path(__file__).parents[3])

@@ -5,14 +5,11 @@ from contextlib import ExitStack
 
 import numpy as np
 import pytest
-from support.kept_folder import SETS as KEPT_SETS
-from support.kept_folder import lay_out
+from support.life_of_a_test import run
 from support.machine import Machine
 from support.memory_line import SETS, Line, healthy
+from support.table_rows import lose_catalogue
 
-from daq_service.catalogue import open_catalogue
-from daq_service.catalogue.connection import FILE_NAME
-from daq_service.catalogue.rows import EventRow
 from daq_service.processes import resource_use as own_use
 from daq_service.processes.disk_policy import DiskSpace
 from daq_service.recording.computer_load import MACHINE_READ, ComputerLoadWatch
@@ -83,28 +80,16 @@ def test_a_step_of_the_computer_s_clock_is_how_far_it_is_ahead_from_then_on():
     assert watched.read(Cost().seconds)["clock_ahead_s"] == 3600.0
 
 
-def test_each_taken_set_has_one_reading_and_a_missed_one_has_none(tmp_path):
+def test_each_taken_set_has_one_reading_which_a_rebuild_restores_and_a_missed_one_has_none(tmp_path):
     def script(key):
         return AcquisitionTimeoutError("nothing triggered") if key.set_index == 3 else healthy(key)
 
     line = Line(tmp_path, script=script)
-    assert line.run(machine=watch())
+    run(line, machine=watch())
     events = [row for row in line.rows("events") if row.topic == "machine"]
     assert [row.set_index for row in events] == [index for index in range(SETS) if index != 3]
     assert {row.kind for row in events} == {MACHINE_READ}
     assert len({row.payload["recorder_wall_utc_ns"] for row in events}) == 1
-
-
-def test_a_rebuilt_catalogue_has_every_reading(tmp_path):
-    folder = lay_out(tmp_path / "data")
-
-    def kept():
-        with open_catalogue(folder) as catalogue:
-            return catalogue.rows(EventRow, topic="machine")
-
-    before = kept()
-    assert [row.set_index for row in before] == list(range(KEPT_SETS))
-    for name in (FILE_NAME, f"{FILE_NAME}-wal", f"{FILE_NAME}-shm"):
-        (folder / name).unlink(missing_ok=True)
-    rebuild(folder)
-    assert kept() == before
+    lose_catalogue(line.folder)
+    rebuild(line.folder, features_of=line.features_of)
+    assert [row for row in line.rows("events") if row.topic == "machine"] == events

@@ -80,15 +80,6 @@ def test_a_set_is_durable_before_it_is_reported(line):
     assert archive.seen == [(index, index) for index in range(SETS)]
 
 
-def test_a_set_that_was_not_stored_has_no_rows_and_is_taken_again(line):
-    with pytest.raises(KilledError):
-        line.run(archive=WatchedArchive(line, refuse={3}))
-    assert len(line.rows("sets", "B")) == 3
-    assert line.run()
-    assert states(line, "B") == ["done"] * SETS
-    assert line.instruments[1].struck[0] == ("B", 3, 0, 0)
-
-
 class Seconds:
     """Monotonic clock that advances at each read."""
 
@@ -518,7 +509,7 @@ def test_a_pause_does_not_report_that_the_rig_is_back(line, late):
 
 def test_a_poor_shot_at_the_end_of_a_cut_set_is_counted_as_it_was_struck(line):
     """A repetition is granted, and a pause comes before it: it was never made."""
-    send_at(line, ShotKey(position="B", set_index=1, shot_index=0), "pause", note="door open")
+    line.order_at(ShotKey(position="B", set_index=1, shot_index=0), "pause", note="door open")
     send = line.script
 
     def script(key):
@@ -565,15 +556,6 @@ def test_an_error_of_a_rig_that_has_worked_costs_sets_and_not_the_test(line, res
     assert alarm.message == "set 1 ended early: no such channel; the next set tries again"
 
 
-def test_a_stop_leaves_the_set_open_and_the_remaining_strikes_due(line):
-    assert not line.run(stop=line.stop_at(ShotKey(position="C", set_index=1, shot_index=1)))
-    assert [states(line, position) for position in "BCD"] == [["done"]] * 3
-    assert line.rows("events")[-1].kind == "recorder_stopped"
-    line.script = healthy
-    assert line.run()
-    assert states(line, "D") == ["done"] * SETS
-
-
 def stop_in_set(line, key, **options):
     """Run with a journal until a stop or a kill after a shot."""
     archive, stop = MemoryArchive(line.shelf), line.stop_at(key)
@@ -587,6 +569,7 @@ def test_an_interrupted_set_continues_with_its_missing_strikes(line, undisturbed
     position, set_index, shot_index = key
     archive = stop_in_set(line, ShotKey(position=position, set_index=set_index, shot_index=shot_index))
     assert len(line.rows("sets", "B")) == set_index
+    assert line.rows("events")[-1].kind == "recorder_stopped"
     assert line.run(archive=archive)
     before, after = (instruments.struck for instruments in line.instruments)
     assert before + after == undisturbed.instruments[0].struck
@@ -675,20 +658,8 @@ def test_a_stop_while_nothing_was_recorded_leaves_the_set_due(line, stops_at):
     assert states(line, "B") == ["done"] * SETS
 
 
-def send_at(line, key, kind, **arguments):
-    """Send a command while a shot is read; it is received before the next strike."""
-    line.listen_every_s = 0.0
-
-    def script(key_of_shot):
-        if key_of_shot == key:
-            line.order(kind, **arguments)
-        return healthy(key_of_shot)
-
-    line.script = script
-
-
 def test_a_pause_ends_the_running_set(line):
-    send_at(line, ShotKey(position="C", set_index=1, shot_index=1), "pause", note="hands in the rig")
+    line.order_at(ShotKey(position="C", set_index=1, shot_index=1), "pause", note="hands in the rig")
     line.run()
     assert line.instruments[0].struck[-1] == ("C", 1, 1, 0)
     assert states(line, "C")[:3] == ["done", "partial", "missed"]
@@ -696,18 +667,10 @@ def test_a_pause_ends_the_running_set(line):
 
 
 def test_a_transducer_disabled_during_a_set_is_not_struck_again(line):
-    send_at(line, ShotKey(position="B", set_index=1, shot_index=1), "disable", position="C")
+    line.order_at(ShotKey(position="B", set_index=1, shot_index=1), "disable", position="C")
     line.run()
     assert {strike[:2] for strike in line.instruments[0].struck if strike[1] == 1} == {("B", 1), ("D", 1)}
     assert states(line, "C")[:3] == ["done", "missed", "disabled"]
-
-
-def test_a_pause_misses_sets_with_its_reason_also_after_a_restart(line):
-    line.order("pause", note="hands in the rig")
-    assert line.run()
-    assert line.instruments[0].struck == []
-    assert set(causes(line, "B")) == {"paused by Ada: hands in the rig"}
-    assert {row.state for row in line.rows("sets")} == {"missed"}
 
 
 def test_a_disabled_transducer_is_not_struck_and_the_others_are(line):
@@ -717,17 +680,6 @@ def test_a_disabled_transducer_is_not_struck_and_the_others_are(line):
     assert states(line, "C") == ["disabled"] * SETS
     assert [row.n_planned for row in line.rows("sets", "C")] == [0] * SETS
     assert states(line, "B") == ["done"] * SETS
-
-
-def test_a_silent_transducer_raises_no_data_and_is_then_disabled(line):
-    line.script = lambda key: silent("noisy") if key.position == "D" and key.set_index >= 2 else healthy(key)
-    line.run()
-    alarms = {row.kind: row for row in line.rows("alarms") if row.position == "D"}
-    assert (alarms["few_valid_shots"].raised_set_index, alarms["transducer_disabled"].raised_set_index) == (
-        3,
-        4,
-    )
-    assert states(line, "D") == ["done"] * 5 + ["disabled"] * (SETS - 5)
 
 
 def test_a_transducer_without_any_record_raises_no_data_and_is_then_disabled(line):

@@ -7,15 +7,12 @@ import numpy as np
 import pytest
 from support.memory_archive import MemoryArchive, bits
 from support.memory_line import SETS, Line, healthy, memory_settings, silent
-from support.refused_calls import refuse
 from support.synthetic_records import Scene, waveform_of
 from support.table_rows import forget_states
 
 from analysis.statistics.named_limits import LIMITS
 from daq_service.acquisition.schedule import plan
 from daq_service.archive.errors import ArchiveReadError
-from daq_service.catalogue import RecorderCatalogue, SetCommit
-from daq_service.catalogue.errors import CatalogueWriteError
 from daq_service.clock import parse_utc
 from daq_service.recording.set_assessor import SetAssessor
 from hardware_drivers.errors import ConnectionLostError
@@ -265,16 +262,6 @@ def test_a_residue_below_a_quarter_of_the_baseline_s_ratio_is_a_hole(line):
     assert {(row.position, row.kind) for row in line.alarms()} == {("C", "no_reflection")}
 
 
-def test_an_enabled_transducer_is_disabled_again_only_for_later_sets(line):
-    line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
-    with recorded(line, 2) as (ledger, again, records):
-        ledger.assessors.enable("D")
-        ledger.commit(SetCommit())
-        assert restored_states(again)["D"] == bits(ledger.assessors["D"].state)
-        assess_set(ledger, again, *records[2])
-        assert "D" not in ledger.disabled()
-
-
 def run_until(line, position, set_index, script, **parts):
     """Run until the last strike of a transducer in a set."""
     line.script, last = script, line.settings.schedule.shots_per_set - 1
@@ -365,43 +352,6 @@ def test_a_temporary_read_error_does_not_change_the_reference_echo(line, monkeyp
     monkeypatch.setattr(MemoryArchive, "read_waveform", refused)
     with pytest.raises(ArchiveReadError, match="too many open files"):
         line.run(pulse_echo=ThinningWall())
-
-
-def test_an_alarm_keeps_the_id_that_the_catalogue_gave(line):
-    line.script = lambda key: silent("noisy") if key.position == "D" else healthy(key)
-    with recorded(line, 2) as (ledger, again, _):
-        alarm = ledger.alarms["D", "few_valid_shots"]
-        assert again.rows("alarms")[alarm.id - 1].kind == "few_valid_shots"
-        event = [row for row in again.rows("events") if row.kind == "alarm_raised"][-1]
-        assert event.payload["alarm_id"] == alarm.id
-
-
-def test_rows_alarms_and_events_of_a_set_are_one_transaction(line, monkeypatch):
-    with recorded(line, 2) as (ledger, again, records):
-        before = {
-            name: len(again.rows(name)) for name in ("sets", "shots", "features", "assessments", "events")
-        }
-        full = CatalogueWriteError("the disk is full")
-        refuse(monkeypatch, RecorderCatalogue, "commit_set", full, times=1)
-        with pytest.raises(CatalogueWriteError):
-            assess_set(ledger, again, *records[2])
-        assert {name: len(again.rows(name)) for name in before} == before
-
-
-def test_every_position_has_a_row_in_every_set(line):
-    line.order("disable", position="B")
-    line.script = lambda key: None if key.position == "A" and key.set_index == 1 else healthy(key)
-    line.run()
-    rows = line.rows("sets")
-    assert sorted((row.set_index, row.position) for row in rows) == [
-        (index, position) for index in range(SETS) for position in "ABCD"
-    ]
-    missed = rows[[(row.set_index, row.position) for row in rows].index((1, "A"))]
-    assert (missed.state, missed.n_missed, missed.reason) == (
-        "missed",
-        1,
-        "1 missed: no trigger at A",
-    )
 
 
 def test_the_rig_alarm_names_a_method_whose_instruments_do_not_respond(line):

@@ -39,10 +39,7 @@ class Laboratory:
             )
         clock = self.clock = self.machine.clock(before)
         self.line.heartbeat = Heartbeat(
-            self.line.folder,
-            deadline_s=60.0,
-            machine=self.machine.machine_clock(),
-            time_line=clock.line,
+            self.line.folder, deadline_s=60.0, machine=self.machine.machine_clock(), time_line=clock.line
         )
         self.machine.after(30.0, lambda: pytest.fail(f"still {self.doing}"))
         return self.line.run(cause=cause, clock=clock, stop=stop)
@@ -112,31 +109,6 @@ def test_a_step_moves_no_set_and_is_one_event(laboratory, by_h):
     assert step["system_utc_ns"] - step["experiment_utc_ns"] == by_h * NS_PER_H
 
 
-@pytest.mark.parametrize("in_a_set", [False, True])
-def test_a_clock_error_of_400_h_for_6_s_has_no_effect(laboratory, in_a_set):
-    begins_h = 2.0 + 20.0 / 3600.0 if in_a_set else 2.2
-
-    def set_ahead():
-        laboratory.machine.set_clock(400.0)
-        laboratory.clock.utc_ns()  # the recorder looks many times in 6 s
-
-    laboratory.machine.after(begins_h, set_ahead)
-    laboratory.machine.after(begins_h + 6.0 / 3600.0, lambda: laboratory.machine.set_clock(-400.0))
-    assert laboratory.run()
-    assert_every_set_once_in_order(laboratory)
-    assert_struck_at(laboratory, [INTERVAL_H * index for index in range(SETS)])
-    assert [step["step_s"] for step in laboratory.event_payloads("clock_step")] == [1.44e6, -1.44e6]
-    assert [step["ahead_s"] for step in laboratory.event_payloads("clock_step")] == [1.44e6, 0.0]
-
-
-def test_a_drift_is_followed_and_no_step(laboratory):
-    laboratory.machine.drift_ppm = 100
-    assert laboratory.run()
-    assert_every_set_once_in_order(laboratory)
-    assert laboratory.event_payloads("clock_step") == []
-    assert laboratory.clock.utc_ns() == laboratory.machine.utc_ns
-
-
 @pytest.mark.parametrize("by_h", [1.0, -1.0, 400.0])
 def test_a_step_while_no_recorder_ran_is_found_by_the_next_one(laboratory, by_h):
     laboratory.killed_after(2.2)
@@ -147,15 +119,6 @@ def test_a_step_while_no_recorder_ran_is_found_by_the_next_one(laboratory, by_h)
     assert_every_set_once_in_order(laboratory)
     assert_struck_at(laboratory, [INTERVAL_H * index for index in range(SETS)])
     assert [step["step_s"] for step in laboratory.event_payloads("clock_step")] == [by_h * 3600.0]
-
-
-def test_sets_due_while_no_recorder_ran_on_a_stepped_clock_have_their_cause(laboratory):
-    laboratory.killed_after(2.2)
-    laboratory.machine.sleep(1.2 * 3600.0)
-    laboratory.machine.set_clock(-1.0)
-    assert laboratory.run()
-    assert_every_set_once_in_order(laboratory, missed=[4])
-    assert {row.reason for row in laboratory.line.rows("sets") if row.state == "missed"} == {DOWN}
 
 
 def test_a_boot_in_2010_waits_for_a_set_clock_and_loses_nothing(laboratory):
@@ -218,18 +181,6 @@ def test_100_h_later_an_unsynchronised_clock_is_doubted_until_it_is_synchronised
     assert "100 h after what was stored last" in alarm.message
     assert "clock.doubt_after_h = 72 h" in alarm.message
     assert alarm.state == "returned_unacknowledged"
-
-
-@pytest.mark.parametrize(("gap_h", "synchronised"), [(100.0, True), (71.0, False)])
-def test_a_long_gap_is_believed_of_a_synchronised_clock_and_a_short_one_of_any(
-    laboratory, gap_h, synchronised
-):
-    laboratory.killed_after(2.2)
-    laboratory.machine.start_again(laboratory.machine.utc_ns + round(gap_h * NS_PER_H))
-    laboratory.machine.synchronised = synchronised
-    assert laboratory.run()
-    assert_every_set_once_in_order(laboratory, missed=range(4, SETS))
-    assert laboratory.line.alarms() == []
 
 
 def test_a_person_may_trust_a_doubted_clock(laboratory):

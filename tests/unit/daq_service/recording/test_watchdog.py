@@ -89,10 +89,7 @@ def run(manager, folder, hang=None):
     clock = machine.clock()
     with service_manager_notifications(report) as report_and_notify:
         heartbeat = Heartbeat(
-            folder,
-            deadline_s=DEADLINE_S,
-            notify=report_and_notify,
-            machine=machine.machine_clock(),
+            folder, deadline_s=DEADLINE_S, notify=report_and_notify, machine=machine.machine_clock()
         )
         line = Line(folder, settings=settings, script=script, heartbeat=heartbeat)
         heartbeat.beat("opening the rig")

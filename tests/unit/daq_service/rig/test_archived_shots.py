@@ -9,7 +9,7 @@ from support.archived_sets import DUE_UTC_NS, SET_INDEX, assert_same_waveform, m
 from support.filed_archive import FiledArchive
 from support.labview_files import write_set
 
-from daq_service.archive import FolderSetReader, PositionRecord, SetRecord
+from daq_service.archive import FolderSetReader
 from daq_service.errors import UsageError
 from daq_service.rig.playback import ArchivedShots, open_recording, playback_instruments
 from hardware_drivers.errors import AcquisitionTimeoutError, ConfigurationError
@@ -94,39 +94,6 @@ def test_a_position_that_was_disabled_at_first_is_known_from_the_configuration(t
     assert ArchivedShots(FolderSetReader(tmp_path)).positions["E"] == "pulse_echo"
 
 
-def test_a_corrupt_record_is_a_missed_strike_with_its_reason(tmp_path):
-    shots = [make_shot("B", index, 1 + index, n_samples=2000) for index in range(3)]
-    record = SetRecord(
-        set_index=SET_INDEX,
-        due_utc_ns=DUE_UTC_NS,
-        due_h=4.0,
-        started_utc_ns=DUE_UTC_NS,
-        ended_utc_ns=DUE_UTC_NS + 1,
-        rig_kind="simulated",
-        positions=[PositionRecord(position="B", method="solitary_wave", n_planned=3)],
-        shots=shots,
-    )
-    (path,) = stored(tmp_path, record)
-    image = bytearray(path.read_bytes())
-    # Chunks of 2000 int16 lie one after the other: the second one is in the middle of the file's data.
-    place = second_chunk(path)
-    image[place] ^= 0xFF
-    path.write_bytes(image)
-    source = ArchivedShots(FolderSetReader(tmp_path))
-    assert source.find(shots[0].key) is not None
-    assert source.find(shots[2].key) is not None
-    with pytest.raises(
-        AcquisitionTimeoutError, match=r"shot 1 of set 7 at 'B' cannot be .*\.h5: shot 1 of B"
-    ):
-        source.find(shots[1].key)
-
-
-def second_chunk(path):
-    with h5py.File(path, "r") as file:
-        chunk = file["entry/B_waveforms/waveform"].id.get_chunk_info(1)
-        return chunk.byte_offset + chunk.size // 2
-
-
 def test_a_corrupt_file_costs_only_its_set(tmp_path):
     first, second = stored(tmp_path, make_set(), other_set(make_set(), SET_INDEX + 1))
     first.write_bytes(b"no HDF5 at all")
@@ -157,7 +124,7 @@ def test_a_folder_without_sets_is_refused(tmp_path):
         raise AssertionError("opened")
 
 
-def test_missed_strikes_are_known_except_for_a_corrupt_set(tmp_path):
+def test_a_corrupt_record_is_a_missed_strike_and_its_set_knows_no_others(tmp_path):
     first, _ = stored(tmp_path, make_set(), other_set(make_set(), SET_INDEX + 1))
     key = ShotKey(position="D", set_index=SET_INDEX + 1, shot_index=0, attempt=1)
     source = ArchivedShots(FolderSetReader(tmp_path))
@@ -170,6 +137,12 @@ def test_missed_strikes_are_known_except_for_a_corrupt_set(tmp_path):
     first.write_bytes(image)
     source = ArchivedShots(FolderSetReader(tmp_path))
     assert not source.tried(replace(key, set_index=SET_INDEX))
+    corrupt = ShotKey(position="B", set_index=SET_INDEX, shot_index=0)
+    assert source.find(replace(corrupt, position="C")) is not None
+    with pytest.raises(
+        AcquisitionTimeoutError, match=r"shot 0 of set 7 at 'B' cannot be .*\.h5: shot 0 of B"
+    ):
+        source.find(corrupt)
     assert source.tried(ShotKey(position="B", set_index=SET_INDEX, shot_index=1, attempt=1))
 
 

@@ -60,16 +60,6 @@ def test_every_key_of_the_rig_is_written_down(tmp_path):
     assert [key for name in tables for key in missing_keys(given[name], getattr(rig, name), name)] == []
 
 
-def test_a_missing_key_is_detected(tmp_path):
-    """This shows that the check above can fail."""
-    text = WITH_EVERYTHING.replace('counter = "ctr1"\n', "").replace("\ntimeout_s = 2.0", "\n")
-    rig, given = load(tmp_path, WITH_EVERYTHING).rig, tomllib.loads(text)["rig"]
-    assert missing_keys(given["daqmx"], rig.daqmx, "daqmx") == [
-        "daqmx.transducers.C.counter",
-        "daqmx.watchdog.timeout_s",
-    ]
-
-
 def test_the_other_tables_have_the_values_of_the_paper(tmp_path):
     """The files of laboratory and twin differ only in the instruments."""
     laboratory, simulated = load(tmp_path, TEXT), Settings()
@@ -124,14 +114,6 @@ def test_the_environment_may_fill_in(tmp_path, monkeypatch):
     monkeypatch.setenv("SOLIMON_RIG__SUPPLY__IDENTITY", "MAKER,MODEL,1")
     supply = load(tmp_path, text).rig.supply
     assert supply.identity == "MAKER,MODEL,1"
-
-
-def test_one_variable_makes_a_dry_run(tmp_path, monkeypatch):
-    assert load(tmp_path, TEXT).rig.daqmx.dry_run is False
-    monkeypatch.setenv("SOLIMON_RIG__DAQMX__DRY_RUN", "true")
-    rehearsal = load(tmp_path, TEXT)
-    assert rehearsal.rig.daqmx.dry_run is True
-    assert list(rehearsal.rig.daqmx.transducers) == ["B", "C", "D"]
 
 
 def test_the_plan_counts_the_boards_records(tmp_path):

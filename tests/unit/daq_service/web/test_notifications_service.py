@@ -4,15 +4,11 @@ from contextlib import ExitStack
 
 import pytest
 from support.filled_folder import FilledFolder, filled_folder
-from support.invented_rows import condition, event_row
 from support.receivers import http_receiver
 from support.reported_alarms import notifying
 from support.served_web import served
 from support.waiting import WAIT_S, ended, until
 
-from daq_service.alarms.states import Moment, update
-from daq_service.catalogue import SetCommit
-from daq_service.catalogue.writer import payload_of
 from daq_service.processes.data_folder import BACKUP_FILE
 from daq_service.processes.notifications import webhook
 from daq_service.processes.notifications.delivery_log import LOG_FILE
@@ -40,12 +36,8 @@ def filled(tmp_path, receiver):
 
 
 def raise_alarm(folder, kind):
-    present = condition(kind=kind, message=f"{kind} is there")
-    change = update(None, present, Moment(utc_ns=folder.due[0].due_utc_ns, due_h=0.5, set_index=0))
-    payload = payload_of(change.row, last="id")
-    event = event_row(change.event_kind, "alarms", position="B", payload=payload)
-    commit = SetCommit(alarms=[change.row], events=[event], alarm_of_event={0: 0})
-    return folder.catalogue.commit_set(commit).event_ids[0]
+    folder.add_alarm("B", 0, kind=kind)
+    return folder.catalogue.last_event_id()
 
 
 def duty(client):

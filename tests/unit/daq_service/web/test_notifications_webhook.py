@@ -97,11 +97,6 @@ def test_redirects_are_not_followed(receiver):
         assert elsewhere.got.empty()
 
 
-def test_a_silent_receiver_is_given_up_after_the_time_limit(receiver, soon):
-    receiver.silent.set()
-    assert send(receiver).description == "no answer within 0.2 s"
-
-
 def test_a_receiver_that_sends_single_bytes_is_given_up_after_the_time_limit(soon):
     """Each byte is in time; only the total time limit ends it."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
@@ -226,12 +221,22 @@ def test_a_start_rejects_unusable_receivers_and_rules(monkeypatch):
         refuse_unusable(notifying(rules=[{"kinds": ["wall_chance"]}]).notifications)
 
 
-@pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
-def test_apprise_sends_a_message_and_logs_no_address(receiver, monkeypatch, caplog):
-    pool = ThreadPoolExecutor()  # in place of the package's own, which live as long as the process
-    for attribute in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
-        monkeypatch.setattr(f"apprise.{attribute}", pool)
+@pytest.fixture
+def apprise_pool(monkeypatch):
+    """Replace the thread pools of apprise, which live as long as the process."""
     monkeypatch.setenv("NO_PROXY", "127.0.0.1")
+    with ThreadPoolExecutor() as pool:
+        for name in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
+            monkeypatch.setattr(f"apprise.{name}", pool)
+        yield
+
+
+OF_APPRISE = pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")
+
+
+@OF_APPRISE
+@pytest.mark.usefixtures("apprise_pool")
+def test_apprise_sends_a_message_and_logs_no_address(receiver, caplog):
     host = receiver.url.removeprefix("http://").removesuffix("/hook")
     address = Address(f"json://ann:{SECRET}@{host}/hook", b"")
     with caplog.at_level(logging.DEBUG):
@@ -241,7 +246,6 @@ def test_apprise_sends_a_message_and_logs_no_address(receiver, monkeypatch, capl
         assert (
             "does not know this kind" in deliver_by_apprise(Address("nonsense://x", b""), MESSAGE).description
         )
-    pool.shutdown()
     assert json.loads(receiver.next().body)["title"] == "Prüfung"
     assert SECRET not in caplog.text
 
@@ -266,14 +270,10 @@ def test_no_retry_after_ends_the_thread_of_a_receiver(receiver, header):
     assert 0.0 <= outcome.retry_after_s <= LONGEST_RETRY_AFTER_S
 
 
-@pytest.mark.filterwarnings("ignore:'imghdr' is deprecated:DeprecationWarning")  # apprise imports it
+@OF_APPRISE
+@pytest.mark.usefixtures("apprise_pool")
 def test_a_netrc_lends_no_password_to_a_receiver_of_apprise(receiver, monkeypatch, tmp_path):
-    pool = ThreadPoolExecutor()
-    for attribute in ("utils.http._DNS_POOL", "apprise._shared_executor", "apprise._coordinator_executor"):
-        monkeypatch.setattr(f"apprise.{attribute}", pool)
     (tmp_path / "netrc").write_text("default login ann password secret\n", encoding="ascii")
     monkeypatch.setenv("NETRC", str(tmp_path / "netrc"))
-    monkeypatch.setenv("NO_PROXY", "127.0.0.1")
     assert deliver_by_apprise(Address(receiver.url.replace("http://", "json://"), b""), MESSAGE).ok
-    pool.shutdown()
     assert "Authorization" not in receiver.next().headers

@@ -64,22 +64,3 @@ def test_a_range_of_hours_is_half_open_and_finds_what_reaches_into_it(api):
         (21, 30): ["later"],
         (9, 30): ["instant", "range", "later"],
     }
-
-
-@pytest.mark.parametrize(
-    ("body", "pointer"),
-    [
-        ({"from_h": 1.0}, "/text"),
-        ({"from_h": 1.0, "text": "   "}, "/text"),
-        ({"from_h": 1.0, "text": "x" * 2001}, "/text"),
-        ({"from_h": 1e8, "text": "late"}, "/from_h"),
-        ({"from_h": 2.0, "to_h": 1.0, "text": "backwards"}, ""),
-        ({"from_h": 2.0, "text": "B", "hour": 2.0}, "/hour"),
-    ],
-)
-def test_an_invalid_note_is_rejected_and_not_stored(api, body, pointer):
-    before = listed(api)
-    answer = note(api, **body)
-    assert answer.status_code == 422, answer.text
-    assert answer.json()["errors"][0]["pointer"] == f"/annotate/arguments{pointer}"
-    assert listed(api) == before

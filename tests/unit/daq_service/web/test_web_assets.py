@@ -2,11 +2,13 @@
 
 import posixpath
 import re
+from typing import get_args
 
 import httpx
 import pytest
 from support.served_web import brought, served
 
+from daq_service.assessment.position_status import PositionStatus
 from daq_service.settings.tree import Settings
 from daq_service.web.assets import FOLDER, assets
 
@@ -19,10 +21,7 @@ OURS = [name for name in TEXT if not name.startswith("vendor/") and name != "LIC
 
 @pytest.fixture(scope="module")
 def api(tmp_path_factory):
-    with (
-        served(Settings(), tmp_path_factory.mktemp("empty")) as service,
-        service.client() as client,
-    ):
+    with served(Settings(), tmp_path_factory.mktemp("empty")) as service, service.client() as client:
         yield client
 
 
@@ -101,6 +100,13 @@ def test_the_page_loads_no_external_resource():
         links = re.findall(r"https?://[^\s\"'`)]+", TEXT[name])
         # The namespace of SVG is a name, not an address.
         assert set(links) <= {"http://www.w3.org/2000/svg"}, name
+
+
+def test_the_page_has_a_label_for_each_status_of_a_position():
+    states = TEXT["icons.js"].partition("export const STATES = {")[2].partition("};")[0]
+    labels = dict(re.findall(r'(\w+): \{ label: "([^"]+)"', states))
+    assert labels.keys() == set(get_args(PositionStatus))
+    assert (labels["shelved"], labels["out_of_service"]) == ("Shelved", "Out of service")
 
 
 def test_every_reference_is_a_file():

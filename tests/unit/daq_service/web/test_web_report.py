@@ -44,24 +44,15 @@ def filled(tmp_path_factory):
         for index in range(N_SETS):
             folder.add_set(index, stored=index in (0, N_SETS - 1))
         alarm = folder.add_alarm("B", 52)
-        folder.acknowledge(alarm, CommandDouble(author="ann", arguments={"note": NOTE}, id=give(folder)))
+        order = {"alarm_id": alarm, "note": NOTE}
+        command_id = folder.catalogue.add_command("ann", "acknowledge_alarm", order)
+        folder.acknowledge(alarm, folder.catalogue.command(command_id))
         folder.shelve(folder.add_alarm("C", 10), "a new coil comes", for_h=1.0)
         folder.annotate(3.0, "couplant <renewed>", to_h=5.5, position="B")
         folder.annotate(20.0, "door open")
         for index in (N_SETS, N_SETS + 1, N_SETS + 3):
             folder.catalogue.commit_set(SetCommit(sets=[missed(folder, index)]))
         yield folder
-
-
-class CommandDouble:
-    """Command row as the recorder has it during the execution."""
-
-    def __init__(self, **facts):
-        self.__dict__.update(facts)
-
-
-def give(folder):
-    return folder.catalogue.add_command("ann", "acknowledge_alarm", {"alarm_id": 1})
 
 
 def missed(folder, index):
@@ -170,9 +161,7 @@ def test_each_figure_shows_each_set_where_it_belongs(filled):
     report_contents = read_contents(filled.folder)
     with client.open(filled.folder) as test:
         for place in report_contents.positions:
-            columns = {
-                "A": [("thickness_m", test.thickness("A"))],
-            }.get(
+            columns = {"A": [("thickness_m", test.thickness("A"))]}.get(
                 place.name,
                 [
                     ("tof_pp_s", test.features(place.name)),
@@ -225,7 +214,7 @@ def test_the_report_has_gaps_alarms_evidence_history_and_commands(page):
         ["20.00", "20.00", "the whole test", "door open", "ann, at hour 0.50", ""],
     ]
     (order,) = [row for row in page.tables["Orders"] if row[1] == "ann"]
-    assert order[2:] == ["acknowledge alarm", "alarm_id 1", "done", "acknowledged"]
+    assert order[2:] == ["acknowledge alarm", f"alarm_id 1, note {NOTE}", "done", "acknowledged"]
     assert any(NOTE in word for word in page.words), "as it was written, and no markup"
 
 
@@ -263,10 +252,7 @@ def test_a_configuration_selects_its_folder(filled, tmp_path):
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [
-        (("--from-h", 5, "--to-h", 5), "let it end later"),
-        (("--from-h", 1e6), "let it end later"),
-    ],
+    [(("--from-h", 5, "--to-h", 5), "let it end later"), (("--from-h", 1e6), "let it end later")],
 )
 def test_an_impossible_report_is_rejected_and_nothing_is_written(arguments, message, filled, tmp_path):
     target = tmp_path / "a.html"

@@ -282,18 +282,6 @@ def test_an_id_ahead_of_the_stream_is_no_gap(tmp_path):
     run_with_hub(tmp_path, body, poll_interval_s=60.0, heartbeat_interval_s=0.02)
 
 
-def test_the_end_of_the_service_sends_bye(tmp_path):
-    async def body(source, context, hub):
-        client = frames(context, hub, None, None)
-        await anext(client)
-        hub.close()
-        assert await anext(client) == b"event: bye\ndata: {}\n\n"
-        with pytest.raises(StopAsyncIteration):
-            await anext(client)
-
-    run_with_hub(tmp_path, body)
-
-
 def test_each_event_is_encoded_once_for_all_clients(tmp_path):
     async def body(source, context, hub):
         clients = [frames(context, hub, None, 1) for _ in range(50)]
@@ -351,16 +339,6 @@ def test_a_client_far_behind_does_not_delay_others(tmp_path):
         await behind.aclose()
 
     run_with_hub(tmp_path, body, stored=1200, poll_interval_s=60.0)
-
-
-def test_too_many_streams_are_rejected_with_503(filled, service, monkeypatch):
-    monkeypatch.setattr("daq_service.web.routes.stream.MOST_CLIENTS", 1)
-    with connected(service, "?after=0") as events:
-        take(events, 1)
-        answer = httpx.get(f"{service.url}api/v1/stream")
-        assert answer.status_code == 503
-        assert answer.json()["type"] == "urn:solimon:problem:too-many-streams"
-        assert answer.headers["retry-after"] == "1"
 
 
 def test_streams_that_start_together_do_not_delay_another_response():

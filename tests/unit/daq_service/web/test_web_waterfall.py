@@ -202,11 +202,7 @@ def test_tiles_give_the_same_waterfall_and_the_service_writes_none(api, filled):
     files = {SetKey(index): f"sets/{path.name}" for index, path in set_files(filled.folder).items()}
     name = experiment_identity(filled.catalogue.experiment_row())
     corruption = rebuild_tiles(
-        filled.folder,
-        name,
-        files,
-        lambda key: results_in(filled.catalogue, key),
-        lambda done, of: None,
+        filled.folder, name, files, lambda key: results_in(filled.catalogue, key), lambda done, of: None
     )
     assert corruption == []
     # Another service, which has nothing in its memory and no records.

@@ -221,13 +221,6 @@ def test_a_websocket_sends_text_heartbeats_without_figures(service, monkeypatch)
     assert set(texts) == {'{"interval_s":0.05}'}
 
 
-def test_websocket_of_the_own_origin_is_welcome(service):
-    with connect(
-        f"ws://{service.netloc}/api/v1/waveforms/live?positions=B", origin=f"http://{service.netloc}"
-    ) as socket:
-        assert socket.recv(timeout=DEADLINE_S)
-
-
 @pytest.mark.parametrize("positions", ["Z", "B,Z", "", "../secret"])
 def test_websocket_for_unknown_positions_is_refused(service, positions):
     with (
