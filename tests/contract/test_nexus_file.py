@@ -1,6 +1,8 @@
 """The files are NeXus: h5py alone, knowing only NeXus's attributes, finds everything; so does h5dump."""
 
 import json
+import shutil
+import subprocess
 from datetime import datetime
 
 import h5py
@@ -245,3 +247,24 @@ def test_every_byte_of_data_is_under_a_checksum(file):
 
     file.visititems(check)
     assert len(seen) > 80
+
+
+needs_h5dump = pytest.mark.skipif(
+    shutil.which("h5dump") is None, reason="h5dump is not installed (Debian package hdf5-tools)"
+)
+
+
+def h5dump(*arguments):
+    result = subprocess.run(
+        ["h5dump", *map(str, arguments)], capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    return result.stdout
+
+
+@needs_h5dump
+def test_h5dump_reads_the_whole_file(path):
+    dump = h5dump(path)
+    assert dump.count('GROUP "') >= 14
+    assert '"Set 7, hour 4"' in dump
+    assert '"no trigger within 5 s: gr' in dump
