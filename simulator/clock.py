@@ -42,19 +42,22 @@ class SimulatedClock:
         self._anchor = (start_utc_ns, mono_ns())
 
     def utc_ns(self) -> int:
-        """Return the experiment time in ns of UTC."""
+        """Return the experiment time as UTC in ns since the epoch."""
         return self._utc_ns
 
     def mono_ns(self) -> int:
-        """Return the experiment time in ns; a simulated clock is never set back."""
+        """Return the experiment time as monotonic time in ns; a simulated clock is never set back."""
         return self._utc_ns
 
     def finish_now(self) -> None:
-        """Stop pacing: jump from here on."""
+        """Stop pacing: later waits jump to their end."""
         self._pace_h_per_s = None
 
     def wait_until(self, utc_ns: int, idle: Callable[[], bool]) -> bool:
-        """Wait until ``utc_ns``: jump, or follow the pace; a past time is reached at once."""
+        """Wait until ``utc_ns`` at the set pace, or jump; return False if ``idle`` ends the wait.
+
+        A past time is reached at once.
+        """
         while self._pace_h_per_s is not None and utc_ns > self._utc_ns:
             due_wall_ns = (
                 self._anchor[1] + (utc_ns - self._anchor[0]) / (self._pace_h_per_s * NS_PER_H) * NS_PER_S

@@ -84,7 +84,7 @@ class RecordsAhead:
         self._passed_over: set[str] = set()
 
     def record(self, key: ShotKey, utc_ns: int, hour_h: Callable[[int], float]) -> Acquired | None:
-        """Return the record of a strike, waiting if necessary; start on those after it.
+        """Return the record of a strike, waiting if necessary; start computing those after it.
 
         Parameters
         ----------
@@ -129,7 +129,7 @@ class RecordsAhead:
     def _submit(
         self, group: Sequence[TimedStrike], previous: dict[TimedStrike, _PendingRecord]
     ) -> dict[TimedStrike, _PendingRecord]:
-        """Remove the pending strikes of a group from ``previous`` and submit the others."""
+        """Submit the strikes of a group that are not pending yet; move the others from ``previous``."""
         new = [strike for strike in group if strike not in previous]
         if new:
             future = self._executor.submit(self._compute, new)
@@ -139,7 +139,7 @@ class RecordsAhead:
     def _plan_from(
         self, key: ShotKey, utc_ns: int, expected: Sequence[ShotKey], hour_h: Callable[[int], float]
     ) -> None:
-        """Plan again from a strike that did not come in its turn."""
+        """Plan the strikes ahead again, after a strike out of the planned order."""
         if key in expected:
             self._passed_over |= {shot.position for shot in expected[: expected.index(key)]}
         self._passed_over.discard(key.position)
@@ -152,7 +152,7 @@ class RecordsAhead:
 
 
 def _groups(strikes: Iterable[TimedStrike]) -> Iterator[list[TimedStrike]]:
-    """Group neighbouring strikes of one position and set, at most `LARGEST_GROUP` together."""
+    """Group consecutive strikes of one position and set, at most `LARGEST_GROUP` each."""
     for _, neighbours in groupby(strikes, key=lambda strike: (strike[0].position, strike[0].set_key)):
         while group := list(islice(neighbours, LARGEST_GROUP)):
             yield group
@@ -184,22 +184,28 @@ class Bench(StruckDigitizer):
         self._struck_utc_ns = 0
 
     def hour_h(self, utc_ns: int) -> float:
-        """Return the hour of the test whose depth and temperature hold at a time."""
+        """Return the hour of the test whose depth and temperature apply at a time."""
         return self.specimen.hour_h(utc_ns - self._epoch_utc_ns)
 
     def require_transducer(self, key: ShotKey) -> None:
-        """Reject a position without a chain."""
+        """Check that a position has a chain; raise ConfigurationError if not."""
         _require_position(key, self.specimen.transducers, "solitary-wave transducer")
 
     def strike(self, key: ShotKey) -> bool:
-        """Send a wave down the chain: only the first one at the armed position is recorded."""
+        """Strike the chain of a position; return whether the armed digitizer records the wave.
+
+        Only the first wave at the armed position is recorded.
+        """
         recorded = super().strike(key)
         if recorded:
             self._struck_utc_ns = self.clock.utc_ns()
         return recorded
 
     def record_of(self, key: ShotKey) -> Acquired:
-        """Sample the PZT disk around the trigger."""
+        """Return the record of the last strike as the digitizer samples it.
+
+        Raise AcquisitionTimeoutError if the strike does not reach the trigger level.
+        """
         try:
             acquired = self._record(key, self._struck_utc_ns)
         except (SimulatorError, ValueError) as error:
@@ -220,7 +226,7 @@ class Bench(StruckDigitizer):
 
 
 def _require_position(key: ShotKey, known: Mapping[str, object], role: str) -> None:
-    """Raise ConfigurationError for a position that is not configured."""
+    """Check that a position is configured; raise ConfigurationError if not."""
     if key.position not in known:
         names = ", ".join(sorted(known)) or "none"
         raise ConfigurationError(f"no {role} at position {key.position!r}; there are: {names}")
@@ -254,7 +260,7 @@ class SimulatedStriker:
         return tuple(self._events)
 
     def strike(self, key: ShotKey) -> None:
-        """Pulse the coil once: energising lifts the striker, releasing drops it on the chain."""
+        """Strike once: energising the coil lifts the striker, releasing drops it on the chain."""
         _require_position(key, self._bench.specimen.transducers, "striker")
         self._switch(key.position, energised=True)
         self.make_safe()
@@ -266,7 +272,7 @@ class SimulatedStriker:
             self._switch(self._energised, energised=False)
 
     def _switch(self, position: str, *, energised: bool) -> None:
-        """Switch a coil and record the event."""
+        """Switch a coil on or off and record the event."""
         self._energised = position if energised else None
         now_ns = self._bench.clock.utc_ns()
         self._events.append(CoilEvent(utc_ns=now_ns, position=position, energised=energised))
@@ -279,7 +285,7 @@ class SimulatedPulseEchoUnit:
         self._bench = bench
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Return the averaged record of the wall at this hour."""
+        """Return the averaged pulse-echo record of the wall at this hour."""
         require_timeout(timeout_s)
         _require_position(key, self._bench.specimen.probed_thickness_m, "ultrasonic probe")
         return self._bench.specimen.echo(key, self._bench.hour_h(self._bench.clock.utc_ns()))
@@ -305,7 +311,7 @@ def build_bench(
     executor: Executor | None = None,
     compute: Compute | None = None,
 ) -> SimulatedInstruments:
-    """Build the instruments around one specimen.
+    """Build the simulated instruments around one specimen.
 
     Parameters
     ----------

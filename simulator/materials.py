@@ -36,5 +36,5 @@ def thin_plate_impedance_n_s_per_m(
 
 
 def youngs_modulus_at_pa(youngs_modulus_pa: float, change_per_k: float, temperature_c: float) -> float:
-    """Return Young's modulus at a temperature, ``E (1 + c (T - 20 C))`` in Pa, c its change per kelvin."""
+    """Return Young's modulus ``E (1 + c (T - 20 C))`` at a temperature in Pa; c is per kelvin."""
     return youngs_modulus_pa * (1.0 + change_per_k * (temperature_c - REFERENCE_TEMPERATURE_C))

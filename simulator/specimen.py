@@ -54,11 +54,11 @@ class SolitaryWaveModel(Protocol):
     """Physics of one transducer on its plate (`simulator.shot.model.ShotModel`)."""
 
     def shot(self, *, depth_fraction: float, drop_height_m: float, tilt_rad: float) -> ShotForce:
-        """Return the force at the sensor after a strike on a wall of this depth."""
+        """Simulate the force at the sensor after a strike on a wall of this depth."""
         ...
 
     def shot_at_hole(self, *, drop_height_m: float, tilt_rad: float) -> ShotForce:
-        """Return the force at the sensor when nothing holds the chain's end."""
+        """Simulate the force at the sensor after a strike on a chain without support at its end."""
         ...
 
 
@@ -82,7 +82,7 @@ class _DrawnStrike:
     strike: Strike
 
     def impact(self) -> Impact:
-        """Return the first impact."""
+        """Return the striker's first impact, as input of the shot model."""
         found = self.nuisance
         return Impact(
             depth_fraction=self.wall.patch_depth_fraction,
@@ -94,7 +94,7 @@ class _DrawnStrike:
         )
 
     def impacts(self) -> Impact:
-        """Return both impacts of a striker that bounced."""
+        """Return both impacts of a striker that bounced, as input of the shot model."""
         return replace(
             self.impact(),
             second_delay_s=self.faults.double_delay_s,
@@ -138,18 +138,21 @@ class Specimen:
     stray: Stray | None = None
 
     def hour_h(self, elapsed_ns: int) -> float:
-        """Return the hour whose depth and temperature hold now (`TwinParameters.update_interval_s`)."""
+        """Return the hour of the test whose depth and temperature apply at an elapsed time.
+
+        It advances in steps of `TwinParameters.update_interval_s`.
+        """
         return held_hour_h(elapsed_ns, self.twin.update_interval_s)
 
     def faults(self, key: ShotKey, hour_h: float) -> ShotFaults:
-        """Draw the faults of this strike, its chain and its gain; hum and spikes come with the record."""
+        """Draw the faults of one strike, its chain and its gain; hum and spikes come with the record."""
         faults = self.twin.faults.get(key.position)
         if faults is None:
             return NO_FAULTS
         return faults_of_shot(faults, seed=self.twin.seed, key=key, hour_h=hour_h)
 
     def nuisance(self, key: ShotKey, hour_h: float, faults: ShotFaults) -> ShotNuisance | None:
-        """Draw the variability of this strike; None where the level has none."""
+        """Draw the environmental variability of a strike; None if it is not enabled."""
         found = self.nuisances.get(key.position)
         if found is None:
             return None
@@ -158,12 +161,12 @@ class Specimen:
         )
 
     def strike(self, key: ShotKey, hour_h: float) -> Strike:
-        """Return drop height, tilt and sensitivity of one shot, its faults included."""
+        """Draw drop height, tilt and sensitivity of one shot, its faults included."""
         faults = self.faults(key, hour_h)
         return self._strike(key, hour_h, faults, self.nuisance(key, hour_h, faults))
 
     def _strike(self, key: ShotKey, hour_h: float, faults: ShotFaults, found: ShotNuisance | None) -> Strike:
-        """Draw the strike of a shot with scatter, variability and faults."""
+        """Draw a shot's strike with scatter, variability and the given faults."""
         chain, sensor = self.transducers[key.position].chain, self.twin.sensor
         strike = scattered_strike(
             key,
@@ -179,13 +182,13 @@ class Specimen:
         return strike if faults is NO_FAULTS else faulty_strike(strike, faults, sensor)
 
     def _temperature_c(self, hour_h: float, faults: ShotFaults, found: ShotNuisance | None) -> float:
-        """Return the temperature of a transducer."""
+        """Return the temperature of a transducer in degrees Celsius."""
         if found is None:
             return self.room.at(hour_h) + faults.temperature_k
         return self.room.drift.mean_temperature_c + found.chain_warmer_k
 
     def force(self, wall: Wall, strike: Strike, position: str, faults: ShotFaults = NO_FAULTS) -> ShotForce:
-        """Return the force of one impact at its own depth, drop height and tilt."""
+        """Simulate the force of one impact at its own depth, drop height and tilt."""
         model = _model(self.transducers[position], faults)
         if wall.is_hole:
             return model.shot_at_hole(drop_height_m=strike.drop_height_m, tilt_rad=strike.tilt_rad)
@@ -196,12 +199,12 @@ class Specimen:
         )
 
     def solitary_wave(self, key: ShotKey, hour_h: float) -> Acquired | None:
-        """Return the record of one strike, or None if it does not reach the trigger level."""
+        """Simulate the record of one strike; None if it does not reach the trigger level."""
         (acquired,) = self.solitary_waves([(key, hour_h)])
         return acquired
 
     def solitary_waves(self, strikes: Sequence[tuple[ShotKey, float]]) -> list[Acquired | None]:
-        """Return the records of strikes at their hours, bit-identical to those of `solitary_wave`.
+        """Simulate the records of strikes at their hours, bit-identical to those of `solitary_wave`.
 
         Strikes of one transducer on a wall of one depth cost half as much together as one after the other.
         """
@@ -210,7 +213,7 @@ class Specimen:
         return [None if blow is None else self._acquired(blow, *next(forces)) for blow in blows]
 
     def _blow(self, key: ShotKey, hour_h: float) -> _DrawnStrike | None:
-        """Draw a strike; None for one that misses the chain."""
+        """Draw a strike with its wall, faults and variability; None if it misses the chain."""
         faults = self.faults(key, hour_h)
         if faults.missed:
             return None
@@ -225,7 +228,7 @@ class Specimen:
         )
 
     def _forces(self, blows: Sequence[_DrawnStrike]) -> Iterator[tuple[ShotForce, ShotForce]]:
-        """Return the force of each strike's first impact, and of all its impacts."""
+        """Yield the force of each strike's first impact, and the force of all its impacts."""
         alike: dict[tuple[str, float, float, float], list[int]] = {}
         for number, blow in enumerate(blows):
             faults, liquid = blow.faults, 1.0 if blow.nuisance is None else blow.nuisance.liquid_factor
@@ -244,7 +247,10 @@ class Specimen:
         return (forces[number] for number in range(len(blows)))
 
     def _force_alone(self, model: SolitaryWaveModel, blow: _DrawnStrike) -> tuple[ShotForce, ShotForce]:
-        """Return the force of one shot of a model without batches, and that without variability."""
+        """Simulate the force of one shot of a model without batches, also without variability.
+
+        Raise SpecimenError for a second impact or variability, which such a model does not have.
+        """
         if blow.faults.double_delay_s is not None:
             raise SpecimenError(
                 f"double is a second impact on the chain of a ShotModel; this one is a "
@@ -259,7 +265,7 @@ class Specimen:
         return force, force
 
     def _acquired(self, blow: _DrawnStrike, force: ShotForce, every_impact: ShotForce) -> Acquired | None:
-        """Return the record of the force as the digitizer samples it."""
+        """Digitize a force: return the record with its true values; None without a trigger."""
         seed, adc, key, hour_h = self.twin.seed, self.twin.adc, blow.key, blow.hour_h
         interference, electrical_truth = interference_of_shot(
             self.twin.faults.get(key.position, SOUND), seed=seed, key=key, hour_h=hour_h, adc=adc
@@ -295,7 +301,10 @@ class Specimen:
         return Acquired(waveform=waveform, truth=truth if found is None else truth | found.truth())
 
     def _stray(self, found: ShotNuisance | None) -> Stray | None:
-        """Return the voltage that no strike causes, that of the variability included."""
+        """Return the function of all voltages that no strike causes, the variability's ringing included.
+
+        Return None if there are none.
+        """
         if found is None or not found.rings:
             return self.stray
         strays: list[Stray] = [ring.volts for ring in found.rings]
@@ -304,7 +313,7 @@ class Specimen:
         return lambda first_s, rate_hz, n: np.sum([one(first_s, rate_hz, n) for one in strays], axis=0)
 
     def _plate_temperature_c(self, hour_h: float) -> float:
-        """Return the temperature of the plate, degrees Celsius."""
+        """Return the temperature of the plate at an hour in degrees Celsius."""
         if self.climate is None:
             return self.room.at(hour_h)
         return self.room.at(hour_h) + self.climate.room_k(hour_h) + self.climate.process_k(hour_h)
@@ -319,7 +328,7 @@ class Specimen:
         )
 
     def echo(self, key: ShotKey, hour_h: float) -> Echo:
-        """Return the averaged pulse-echo record of one position."""
+        """Simulate the averaged pulse-echo record of one position."""
         echo, seed, noisy = self.twin.echo, self.twin.seed, self.twin.noise.enabled
         wall = self.probed_wall(key.position, hour_h)
         found, disturbed = disturbance(echo, seed=seed, key=key) if noisy else (Disturbance(), {})
@@ -342,7 +351,10 @@ class Specimen:
 
 
 def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
-    """Return the model of the transducer, on a chain with other contacts where a fault changed them."""
+    """Return the model of a transducer, with a changed chain if a fault changed its contacts.
+
+    Raise SpecimenError if the model cannot change its chain.
+    """
     if faults.radius_factor == 1.0 and faults.contact_damping_factor == 1.0:
         return transducer.model
     if not isinstance(transducer.model, ShotModel):
@@ -354,7 +366,7 @@ def _model(transducer: Transducer, faults: ShotFaults) -> SolitaryWaveModel:
 
 
 def _forces_together(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tuple[ShotForce, ShotForce]]:
-    """Integrate blows on one chain side by side; results as of `Specimen._forces`."""
+    """Simulate several strikes on one chain side by side; return the results of `Specimen._forces`."""
     bounced = [blow for blow in blows if blow.faults.double_delay_s is not None]
     found = iter(model.shots([*(blow.impact() for blow in blows), *(blow.impacts() for blow in bounced)]))
     first = [next(found) for _ in blows]
@@ -365,12 +377,15 @@ def _forces_together(model: ShotModel, blows: Sequence[_DrawnStrike]) -> list[tu
 
 
 def _grid_step_s(force: ShotForce) -> float:
-    """Return the step of the force's grid, which may be several steps of the integration."""
+    """Return the step of the force's time grid in s, which may be several integration steps."""
     return float(force.time_s[-1]) / (force.time_s.size - 1)
 
 
 def _shot_truth(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float]:
-    """Return the true values of a shot; the force's numbers are those of ``solimon simulate``."""
+    """Compute the true values of a shot, by column.
+
+    The values of its force are those of ``solimon simulate``.
+    """
     pulses = summarise(force)
     return {
         "depth_fraction": wall.depth_fraction,
@@ -389,14 +404,14 @@ def _shot_truth(wall: Wall, strike: Strike, force: ShotForce) -> dict[str, float
 
 
 def _si(value: float | None, unit: float = 1.0) -> float:
-    """Return the value in SI, NaN where nothing came back."""
+    """Convert a value to SI; NaN if it is None because no wave was reflected."""
     return math.nan if value is None else unit * value
 
 
 def build_specimen(
     twin: TwinParameters, *, transducers: Mapping[str, Transducer], probed_thickness_m: Mapping[str, float]
 ) -> Specimen:
-    """Draw the constants of a test (thinning, weather) and build the specimen."""
+    """Draw the constants of a test (corrosion, climate) and build the specimen."""
     walls = {
         position: wall_history(
             twin.thinning.get(position, ThinningParameters()), seed=twin.seed, position=position
@@ -429,7 +444,7 @@ def build_specimen(
 
 
 def _by_liquid(place: Transducer, factors: Sequence[float]) -> dict[float, Transducer]:
-    """Return the transducer by the liquid's depth over the full one; empty on a dry plate."""
+    """Return the transducer for each depth of the liquid over the full one; empty for a dry plate."""
     if not isinstance(place.model, ShotModel):
         return {}
     models = {factor: place.model if factor == 1.0 else place.model.with_liquid(factor) for factor in factors}

@@ -15,7 +15,7 @@ ALIKE = "a feature is the same in most of its sets: what stands out of them cann
 
 
 def advice(n_sets: int) -> str | None:
-    """Return advice on a baseline with too few sets; None if it has enough."""
+    """Return the advice to extend a baseline of ``n_sets`` sets; None from `GOOD_SETS` sets on."""
     if n_sets >= GOOD_SETS:
         return None
     warned = f"fewer than {ADVISED_SETS} sets: the rate of false alarms is uncertain; "

@@ -41,7 +41,10 @@ class CombinedShots:
     mean: SetFeatures
 
     def as_set(self, set_index: int, due_h: float, n_tried: int) -> SetOfShots:
-        """Return the result of the shots for the assessment; ``n_tried`` with or without a record."""
+        """Convert the combined shots to a `SetOfShots` for the assessment.
+
+        ``n_tried`` counts the attempts with or without a record. A mean that is not finite becomes None.
+        """
         mean = self.mean
         return SetOfShots(
             set_index=set_index,
@@ -65,7 +68,7 @@ def combine_shots(
     minimum_valid_shots: int,
     of_set: Literal["mean_of_shots", "averaged_waveform"],
 ) -> CombinedShots:
-    """Combine the shots of a set.
+    """Combine the features of a set's shots, with flags that a comparison of the shots finds.
 
     Parameters
     ----------

@@ -15,7 +15,7 @@ STEP = "it is the first set beyond the limit"
 
 
 def request_reason(before: State, after: State, assessment: SetAssessment, rules: Rules) -> str:
-    """Return why a scheduled set requests a confirmation set; empty if it requests none.
+    """Return the reason why a scheduled set requests a confirmation set; empty if it requests none.
 
     A set requests one when it is an outlier after `alarms.n` sets without one, and when the wall alarm
     becomes active. Each requests again only after its condition has returned to normal (hysteresis).
@@ -30,7 +30,7 @@ def request_reason(before: State, after: State, assessment: SetAssessment, rules
 def confirms_change(
     assessed: Sequence[AssessedSet], baseline: Baseline, vector: Sequence[float]
 ) -> bool | None:
-    """Return whether a set is nearer to the suspect scheduled sets than to the baseline.
+    """Check whether a set is nearer to the suspect scheduled sets than to the baseline.
 
     Both are normal populations with the baseline's covariance; the likelier one has the nearer mean by the
     Mahalanobis distance.

@@ -60,7 +60,11 @@ def next_origin(before: Origin, cause: str, *, was_active: bool, n: int) -> Orig
 
 
 def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> DiagnosisParameters | None:
-    """Fit the parameters to a baseline's sets by index; None if too few, or a feature is constant."""
+    """Fit the diagnosis parameters to a baseline's sets.
+
+    ``healthy`` holds index and features of each set. Return None for too few complete sets or a constant
+    feature.
+    """
     logs = [(index, components) for index, values in healthy if (components := logs_of(values)) is not None]
     if len(logs) < MINIMUM_SETS:
         return None
@@ -77,7 +81,10 @@ def fit_diagnosis_parameters(healthy: Sequence[tuple[int, Values]]) -> Diagnosis
 def diagnose_scheduled(
     memory: DiagnosisState, design: DiagnosisParameters, index: int, values: Values, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis | None]:
-    """Update the state with a scheduled set and diagnose; None if the set lacks a feature."""
+    """Add a scheduled set to the diagnosis state and diagnose.
+
+    If the set lacks a feature, return the state unchanged and None.
+    """
     logs = logs_of(values)
     if logs is None:
         return memory, None
@@ -87,7 +94,10 @@ def diagnose_scheduled(
 def diagnose_confirmation(
     memory: DiagnosisState, design: DiagnosisParameters, values: Values
 ) -> tuple[DiagnosisState, Diagnosis | None]:
-    """Update the state with a confirmation set and diagnose; None if the set lacks a feature."""
+    """Add a confirmation set to the diagnosis state and diagnose.
+
+    If the set lacks a feature, return the state unchanged and None.
+    """
     logs = logs_of(values)
     if logs is None:
         return memory, None
@@ -97,6 +107,6 @@ def diagnose_confirmation(
 def _diagnose(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool
 ) -> tuple[DiagnosisState, Diagnosis]:
-    """Diagnose the newest set; return the next state and the diagnosis."""
+    """Diagnose the latest set; return the next diagnosis state and the diagnosis."""
     assessment = diagnosis_of(memory, design, suspicious=suspicious)
     return state_with_diagnosis(memory, assessment), assessment

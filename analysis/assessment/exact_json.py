@@ -19,12 +19,15 @@ T = TypeVar("T")
 
 
 def to_json(values: Mapping[str, object]) -> str:
-    """Return fields of a dataclass by name as JSON text."""
+    """Serialize fields of a dataclass, given by name, as compact JSON; arrays keep every bit.
+
+    Raise TypeError for a value that is no JSON type, array or dataclass.
+    """
     return json.dumps(values, default=_encoded, separators=(",", ":"))
 
 
 def from_json(kind: type[T], *texts: str) -> T:
-    """Return the dataclass whose fields the texts hold."""
+    """Restore a dataclass of type ``kind`` from the JSON texts that together hold its fields."""
     values: dict[str, object] = {}
     for text in texts:
         values |= json.loads(text)
@@ -33,7 +36,10 @@ def from_json(kind: type[T], *texts: str) -> T:
 
 
 def _encoded(value: object) -> object:
-    """Return the JSON form of an array or a dataclass."""
+    """Convert an array (base64 of its bytes) or a dataclass (fields by name) to JSON types.
+
+    Raise TypeError for any other value.
+    """
     if isinstance(value, np.ndarray):
         assert value.flags.c_contiguous, "in another order sums would be rounded otherwise"
         content = base64.b64encode(value.tobytes()).decode()
@@ -44,7 +50,7 @@ def _encoded(value: object) -> object:
 
 
 def _decoded(kind: Any, value: Any) -> Any:
-    """Return a value of a type from its JSON form."""
+    """Restore a value of a declared type from its JSON form."""
     origin, arguments = get_origin(kind), get_args(kind)
     if origin in (Union, UnionType):
         (kind,) = (argument for argument in arguments if argument is not NoneType)
@@ -69,5 +75,5 @@ def _decoded(kind: Any, value: Any) -> Any:
 
 @cache
 def _hints(kind: type) -> dict[str, object]:
-    """Return the resolved types of a dataclass's fields, once per class."""
+    """Resolve the types of a dataclass's fields, once per class."""
     return get_type_hints(kind)

@@ -204,14 +204,20 @@ class SetAssessment:
 
 
 def wall_alarm_active(state: State, rules: Rules) -> bool:
-    """Return whether the wall alarm is active: by the chart or the diagnosis WALL, or by k of n."""
+    """Check whether the wall alarm is active.
+
+    The rules choose: an alarm of the chart or the diagnosis WALL, or k outliers of the last n sets.
+    """
     if rules.decides_by == "chart" and state.memory is not None:
         return state.memory.alarming or state.diagnosis_state.wall
     return state.alarm.active
 
 
 def step(state: State, set_of_shots: SetOfShots, rules: Rules) -> tuple[State, SetAssessment | None]:
-    """Update the state with one set and assess it; the assessment is None if the set has no record."""
+    """Update the state with one set and assess the set.
+
+    The assessment is None if the set has no record.
+    """
     if set_of_shots.set_index < rules.first_baseline_set:
         return state, SetAssessment(
             reason="its baseline was retired before it was assessed"
@@ -278,19 +284,22 @@ def _with_diagnosis(
 
 
 def enabled(state: State) -> State:
-    """Clear the faults that disabled the transducer, because a person has enabled it."""
+    """Return the state with the transducer's faults cleared, because a person has enabled it.
+
+    The state of the hole rule and the count of sets with too few valid shots start from zero.
+    """
     return replace(state, hole=HoleState(), poor_sets=0)
 
 
 def _add_to_baseline(state: State, set_of_shots: SetOfShots) -> State:
-    """Add a set to the baseline that is being collected; one without all features counts as left out."""
+    """Add a set to the baseline that is being collected; count one without all features as left out."""
     if set_of_shots.vector() is None:
         return replace(state, n_left_out=state.n_left_out + 1)
     return replace(state, healthy=(*state.healthy, replace(set_of_shots, flags=(), reason="")))
 
 
 def _freeze_baseline(state: State, rules: Rules) -> State:
-    """Fit the baseline to its sets and start the charts; the same sets give bit-identical results."""
+    """Fit the baseline to its sets and start the control chart; the same sets give identical bits."""
     vectors = np.array([healthy_set.vector() for healthy_set in state.healthy], dtype=np.float64)
     try:
         if len(state.healthy) < _minimum_sets(rules):
@@ -328,12 +337,12 @@ def _freeze_baseline(state: State, rules: Rules) -> State:
 
 
 def _minimum_sets(rules: Rules) -> int:
-    """Return the minimum number of sets of a baseline: the configured one, or what the statistics need."""
+    """Return the minimum number of sets of a baseline: configured, or needed by the statistics."""
     return max(rules.minimum_sets, MINIMUM_SETS)
 
 
 def _remedy(rules: Rules) -> str:
-    """Return the remedy for a baseline with too few sets."""
+    """Return the advice for a baseline with too few sets: a longer one, or a renewed one."""
     n_planned = 1 + rules.last_baseline_set - rules.first_baseline_set
     if n_planned < _minimum_sets(rules):
         return f"only {n_planned} are planned: begin a new test with more baseline.hours"
@@ -341,7 +350,7 @@ def _remedy(rules: Rules) -> str:
 
 
 def _assess(set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
-    """Assess a set with a frozen baseline; give the reason if that is not possible."""
+    """Assess a set against a frozen baseline; give the reason if that is not possible."""
     if baseline.fitted is None:
         return SetAssessment(reason=baseline.reason)
     values = set_of_shots.vector()
@@ -362,11 +371,11 @@ def _assess(set_of_shots: SetOfShots, state: State, baseline: FrozenBaseline, ru
 
 
 def assess_alone(set_of_shots: SetOfShots, baseline: FrozenBaseline, rules: Rules) -> SetAssessment:
-    """Assess a set by its own distance, without updating a chart."""
+    """Assess a set by its own distance from the baseline, without updating a chart."""
     return _assess(set_of_shots, State(baseline=baseline), baseline, rules)
 
 
 def exceeds_limit(name: str, statistics: Mapping[str, float], limits: Mapping[str, float]) -> bool | None:
-    """Return whether a statistic exceeds its limit; None if the limit or the statistic is missing."""
+    """Check whether a statistic exceeds the limit ``name``; None if either of them is missing."""
     value, limit = statistics.get(LIMITS[name].of), limits.get(name)
     return None if value is None or limit is None else value > limit

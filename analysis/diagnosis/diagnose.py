@@ -75,7 +75,7 @@ class Diagnosis:
 def diagnosis_of(
     memory: DiagnosisState, design: DiagnosisParameters, *, suspicious: bool = False
 ) -> Diagnosis:
-    """Return the diagnosis after the latest set.
+    """Diagnose the cause of a change since the baseline, after the latest set.
 
     Parameters
     ----------
@@ -126,7 +126,7 @@ def _is_nearer_to_its_baseline(memory: DiagnosisState, design: DiagnosisParamete
 
 
 def state_with_diagnosis(memory: DiagnosisState, assessment: Diagnosis) -> DiagnosisState:
-    """Store a confirmed wall diagnosis, or the state of the contacts, for the next sets."""
+    """Store what a diagnosis implies for the next sets: a confirmed wall change, or re-seated contacts."""
     if assessment.reseated:
         return after_reseat(memory, memory.confirmation)
     healthy = assessment.cause in (OK, COUPLING)
@@ -188,7 +188,7 @@ def _log_densities(
 
 @lru_cache(maxsize=512)
 def _courses(n: int, gap: int, gap_ago: int, confirmation_ago: int | None) -> FloatArray:
-    """Return the averages of a change that is 1 by now, `STEPS` first, then growths; shape (s, r).
+    """Return the averages that a change of final size 1 produces, for each course; shape (s, r).
 
     The averages begin with the first of n sets after the baseline. A step lies between two sets, however
     far apart they are; what grows goes on growing while the plan has a gap.

@@ -79,7 +79,7 @@ class Hypothesis:
 
 
 def hypotheses(baseline: FloatArray) -> tuple[Hypothesis, ...]:
-    """Return all hypotheses.
+    """Build the hypotheses of all causes, with prior weights and covariances.
 
     Parameters
     ----------
@@ -108,7 +108,7 @@ Signature = tuple[FloatArray, FloatArray]
 
 
 def _weighted(cause: str, signatures: Sequence[Signature], *, abrupt: float) -> list[Hypothesis]:
-    """Return the hypotheses of one cause, which share its prior probability."""
+    """Build the hypotheses of one cause, which share its prior probability in equal parts."""
     return [
         Hypothesis(
             cause=cause,
@@ -122,7 +122,10 @@ def _weighted(cause: str, signatures: Sequence[Signature], *, abrupt: float) -> 
 
 
 def _wall_hypotheses() -> Iterator[Signature]:
-    """Return hypotheses for every depth under either patch: a wall has a sign and follows a curve."""
+    """Yield the mean change, with its covariance, of every wall depth under either patch.
+
+    A wall change has a sign and follows a curve.
+    """
     for patch in (WALL_B, WALL_C):
         curve = np.vstack([np.zeros(len(patch[0])), patch])
         for depth in TRIED_DEPTHS:
@@ -131,20 +134,20 @@ def _wall_hypotheses() -> Iterator[Signature]:
 
 
 def _spread(covariances: Sequence[FloatArray]) -> Iterator[Signature]:
-    """Return hypotheses for every size of sources that act in either direction."""
+    """Yield changes of mean zero whose covariance is scaled to every size; they act in either direction."""
     for covariance in covariances:
         for size in SIZES:
             yield np.zeros(len(covariance)), size**2 * covariance
 
 
 def _sum_of_sources(sources: Sequence[tuple[Sequence[float], float]]) -> FloatArray:
-    """Sum sources that vary independently: slope, SD."""
+    """Return the covariance of independent sources, each given by its slope and standard deviation."""
     slopes = np.array([slope for slope, _ in sources]) * np.array([sd for _, sd in sources])[:, None]
     return np.asarray(slopes.T @ slopes + MISMATCH**2 * np.diag((slopes**2).sum(axis=0)))
 
 
 def _sensor_sources() -> list[FloatArray]:
-    """Return each sensor source alone, since one part fails at a time.
+    """Return the covariance of each sensor fault alone, since one part fails at a time.
 
     Gain, striker, tilt, wear of all contacts.
     """
@@ -159,7 +162,7 @@ def _sensor_sources() -> list[FloatArray]:
 
 
 def _coupling_sources() -> list[FloatArray]:
-    """Return the sources of coupling.
+    """Return the covariances of coupling changes.
 
     The foot of the chain alone, or a re-seated chain with tilt and height.
     """
@@ -171,7 +174,7 @@ def _coupling_sources() -> list[FloatArray]:
 
 
 def _environment_sources() -> FloatArray:
-    """Return the effect of a temperature change through modulus, PZT and the striker's guide."""
+    """Return the covariance of a temperature change: modulus, PZT and the striker's guide."""
     return _sum_of_sources(
         [
             ([1e-3 * slope for slope in MODULUS_K], USUAL_K),

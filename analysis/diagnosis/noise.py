@@ -62,12 +62,15 @@ def variances_of(whitened: FloatArray, indices: NDArray[np.intp]) -> FloatArray:
 
 
 def end_averages(changes: FloatArray) -> FloatArray:
-    """Return the (2, 7) averages of a baseline's deviations, shape (n, 7), from its mean at its end."""
+    """Average a baseline's deviations, shape (n, 7), exponentially up to its end; shape (2, 7).
+
+    The deviations are those from the baseline's mean.
+    """
     return np.asarray(_end_weights(len(changes)) @ changes)
 
 
 def _end_weights(n: int) -> FloatArray:
-    """Return the exponential weights of the last sets, newest last, shape (n_rates, n)."""
+    """Return the exponential weights of n sets at each rate, the newest last; shape (n_rates, n)."""
     ago = np.arange(n)[::-1]
     return np.array([rate * (1.0 - rate) ** ago for rate in END_RATES])
 

@@ -70,14 +70,17 @@ class DiagnosisParameters:
 
 
 def logs_of(values: Mapping[str, float | None]) -> FloatArray | None:
-    """Return the logarithms of a set's features in the order of `COMPONENTS`; None where one is missing."""
+    """Return the logarithms of a set's features in the order of `COMPONENTS`.
+
+    Return None if a feature is missing, not finite or not positive.
+    """
     found = [values.get(name) for name in COMPONENTS]
     known = [value for value in found if value is not None and math.isfinite(value) and value > 0.0]
     return np.log(known) if len(known) == len(found) else None
 
 
 def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisParameters:
-    """Compute the diagnosis parameters from the baseline's sets.
+    """Compute the diagnosis parameters from the logarithms of the baseline's features.
 
     Parameters
     ----------
@@ -124,7 +127,7 @@ def diagnosis_parameters(history: ArrayLike, first_index: int = 0) -> DiagnosisP
 
 
 def _weights(one: Hypothesis) -> FloatArray:
-    """Return the prior probability with each course."""
+    """Return the prior probability of a hypothesis with each course in time: steps, then growths."""
     since, courses = np.gradient(np.log(STEPS)), len(GROWTHS) * len(POWERS)
     growth = one.weight * (1.0 - one.abrupt) / courses
     return np.concatenate([one.weight * one.abrupt * since / since.sum(), np.full(courses, growth)])

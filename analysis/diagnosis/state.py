@@ -61,7 +61,7 @@ class DiagnosisState:
     moved: tuple[float, ...] = ()
 
     def averages(self, *, from_moved: bool) -> FloatArray:
-        """Return averages, and the confirmation's change below them; shape (3 or 4, 7).
+        """Return the exponential averages, and the confirmation set's change below them.
 
         Parameters
         ----------
@@ -77,7 +77,7 @@ class DiagnosisState:
 
 
 def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: int) -> DiagnosisState:
-    """Return the state after one more complete set.
+    """Add one more complete set to the diagnosis state.
 
     Parameters
     ----------
@@ -110,7 +110,7 @@ def with_set(before: DiagnosisState, mean: FloatArray, logs: FloatArray, index: 
 
 
 def _gap(before: DiagnosisState, index: int) -> tuple[int, int]:
-    """Return the widest gap that still affects the averages, and the sets since then."""
+    """Return the widest gap that still affects the averages, and the number of sets since then."""
     missed = 0 if before.index is None else index - before.index - 1
     old = before.gap if before.gap_ago < MOST_AVERAGED else 0
     if missed > 0 and missed >= old:
@@ -119,12 +119,12 @@ def _gap(before: DiagnosisState, index: int) -> tuple[int, int]:
 
 
 def with_confirmation(memory: DiagnosisState, mean: FloatArray, logs: FloatArray) -> DiagnosisState:
-    """Return the state after an unscheduled confirmation set; the averages do not include it."""
+    """Add an unscheduled confirmation set to the state; the averages do not include it."""
     return replace(memory, confirmation=tuple((logs - mean).tolist()), confirmation_ago=0)
 
 
 def after_reseat(memory: DiagnosisState, moved: tuple[float, ...]) -> DiagnosisState:
-    """Return the state after a re-seat: averages start from the new position.
+    """Restart the averages of the state after a re-seat, from the new position.
 
     Empty means as in the baseline.
     """

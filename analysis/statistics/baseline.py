@@ -87,7 +87,7 @@ class Baseline:
 
 
 def _read_only(values: FloatArray) -> FloatArray:
-    """Return a read-only copy."""
+    """Copy values to a float64 array that cannot be written."""
     copy = np.array(values, dtype=np.float64, copy=True)
     copy.flags.writeable = False
     return copy
@@ -126,7 +126,7 @@ def fit_baseline(
     name: str,
     feature_names: Sequence[str] = FEATURE_NAMES,
 ) -> Baseline:
-    """Compute mean, covariance and baseline distances of healthy sets.
+    """Fit mean, covariance and baseline distances to the feature vectors of healthy sets.
 
     Parameters
     ----------
@@ -187,7 +187,7 @@ def fit_baseline(
 
 
 def _warnings(n: int, suspects: tuple[int, ...]) -> tuple[str, ...]:
-    """Return the warnings about a small baseline and about suspect sets."""
+    """Return warnings about a baseline of few sets or with suspect sets; empty if there is none."""
     warnings = []
     if n < ADVISED_SETS:
         warnings.append(f"baseline of {n} sets, {ADVISED_SETS} advised: the false-alarm rate is uncertain")

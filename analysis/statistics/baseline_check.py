@@ -105,7 +105,7 @@ def _distances(x: FloatArray, core: np.ndarray, kept: float) -> FloatArray:
 
 
 def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
-    """Find the subset with the minimum covariance determinant.
+    """Find the subset of sets whose covariance has the smallest determinant.
 
     Random starts, concentrated (Rousseeuw 1999).
     """
@@ -129,14 +129,17 @@ def _minimum_covariance_determinant(x: FloatArray) -> np.ndarray:
 
 
 def _whitened(x: FloatArray, core: np.ndarray) -> FloatArray:
-    """Return all sets in units of the core's scatter, shape (n, p)."""
+    """Transform all sets to units of the core's scatter, shape (n, p), by Cholesky whitening."""
     mean = x[core].mean(axis=0)
     root = np.linalg.cholesky(np.atleast_2d(np.cov(x[core], rowvar=False)))
     return np.asarray(np.linalg.solve(root, (x - mean).T).T)
 
 
 def _find_group(whitened: FloatArray, outside: np.ndarray, fewest: int) -> np.ndarray:
-    """Find outlying sets with a common offset: nearer to their centre than that is to the core."""
+    """Find outlying sets with a common offset; empty if fewer than ``fewest`` have one.
+
+    They are nearer to their centre than that is to the core.
+    """
     if outside.size < fewest:
         return outside[:0]
     middle = np.median(whitened[outside], axis=0)

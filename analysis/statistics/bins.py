@@ -38,7 +38,7 @@ _OF_EACH_VALUE = 4
 
 
 def bin_type(n_values: int) -> np.dtype[np.void]:
-    """Return the type of a bin: a number, or one of each value, under the names above."""
+    """Return the structured NumPy type of a bin with ``n_values`` numbers in each of its value fields."""
     names = list(_JOINED_BY)
     of_value = [(name, "<f8", (n_values,)) for name in names[:_OF_EACH_VALUE]]
     return np.dtype([*of_value, *((name, "<f8") for name in names[_OF_EACH_VALUE:])])
@@ -56,7 +56,7 @@ def bins_of_sets(
     in_baseline: Sequence[bool],
     n_alarms: Sequence[int],
 ) -> NDArray[np.void]:
-    """Make an exact bin of each set.
+    """Convert each set to a bin that represents it exactly.
 
     Parameters
     ----------
@@ -86,7 +86,7 @@ def bins_of_sets(
 
 
 def joined_bins(bins: NDArray[np.void], starts: ArrayLike) -> NDArray[np.void]:
-    """Join the bins from each start to the next one, the last to the end; ``starts`` rise from 0."""
+    """Join the bins from each start to the next, the last to the end; ``starts`` rise from 0."""
     numbers = np.asarray(starts, dtype=np.intp)
     joined = np.empty(numbers.size, bins.dtype)
     for name, join in _JOINED_BY.items():

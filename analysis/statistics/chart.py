@@ -62,15 +62,18 @@ class Chart:
     limit: float
 
     def whitened(self, vectors: ArrayLike) -> FloatArray:
-        """Return the inputs of the average, shape (n, p), for sets that start with the baseline."""
+        """Return the chart's whitened inputs, shape (n, p), for sets that start with the baseline."""
         return self._entering(prewhitened(self._along(vectors), 0.0, self.phi))
 
     def whitened_after(self, vector: FloatArray, before: FloatArray, distance: int) -> FloatArray:
-        """Return the input of one set, shape (p,), ``distance`` sets after the last complete one."""
+        """Return the chart's whitened input of one set, shape (p,).
+
+        ``before`` is the last complete set, ``distance`` sets earlier.
+        """
         return self._entering(innovation(self._along(vector), self._along(before), distance, self.phi))
 
     def _along(self, vectors: ArrayLike) -> FloatArray:
-        """Project vectors onto the chart's directions, after subtracting the mean."""
+        """Project vectors onto the chart's directions, after subtracting the baseline's mean."""
         return np.asarray((np.asarray(vectors, dtype=np.float64) - self.mean) @ self.directions)
 
     def _entering(self, new: FloatArray) -> FloatArray:
@@ -109,7 +112,7 @@ class Chart:
 
 
 def design_chart(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 0.0) -> Chart:
-    """Design the chart of a baseline.
+    """Design the MEWMA control chart of a baseline for a mean run length between false alarms.
 
     Parameters
     ----------
@@ -126,7 +129,7 @@ def design_chart(baseline: ArrayLike, run_length: float, least_phi: ArrayLike = 
 
 
 def chart_with_phi(baseline: FloatArray, directions: FloatArray, phi: FloatArray, limit: float) -> Chart:
-    """Make a chart of a baseline, shape (n, p), with known autocorrelation and limit (see `Chart`)."""
+    """Build the control chart of a baseline, shape (n, p), with known autocorrelation and limit."""
     complete = np.isfinite(baseline).all(axis=1)
     n, p = int(complete.sum()), baseline.shape[1]
     mean = baseline[complete].mean(axis=0)
@@ -176,14 +179,17 @@ def unverified_rate_reason(baseline: ArrayLike) -> str:
 
 
 def _prewhitened_by_last_set(baseline: FloatArray) -> FloatArray:
-    """Whiten a baseline after removal of its lag-1 autocorrelation."""
+    """Whiten a baseline after removing its dependence on the previous set (lag 1)."""
     found = directions_of(baseline)
     chart = chart_with_phi(baseline, found.matrix, found.phi, math.inf)
     return replace(chart, cap=math.inf).whitened(baseline)
 
 
 def slow_drift_probability(whitened: FloatArray) -> float:
-    """Return the chance that `BLOCKS` block means of independent sets scatter so much (chi-square)."""
+    """Return the p-value of a chi-square test for slow drift between `BLOCKS` blocks of sets.
+
+    It is the chance that the block means of independent sets scatter so much.
+    """
     n, p = whitened.shape
     length = n // BLOCKS
     means = whitened[: BLOCKS * length].reshape(BLOCKS, length, p).mean(axis=1)

@@ -55,7 +55,10 @@ class DefaultLimit:
         return np.asarray(np.where(known, distances, np.nan))
 
     def distance_squared_after(self, vector: FloatArray, before: FloatArray, distance: int) -> float:
-        """Return the squared distance of a set, shape (p,), ``distance`` sets after the last complete one."""
+        """Return the squared distance of one set, shape (p,).
+
+        ``before`` is the last complete set, ``distance`` sets earlier.
+        """
         new = vector
         if self.phi:
             new = innovation(vector - self.mean, before - self.mean, distance, self.phi)
@@ -63,7 +66,7 @@ class DefaultLimit:
 
 
 def default_limit(history: FloatArray, baseline: Baseline, rate: float = NOMINAL_RATE) -> DefaultLimit:
-    """Choose the limit from the data.
+    """Choose the default outlier limit of a baseline from autocorrelation and tails of its data.
 
     Parameters
     ----------

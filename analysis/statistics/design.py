@@ -79,7 +79,7 @@ def design_of(
     rate: float = NOMINAL_RATE,
     least_phi: ArrayLike = 0.0,
 ) -> Design:
-    """Design limits and chart of a baseline.
+    """Design the outlier limits and the control chart of a baseline.
 
     Parameters
     ----------
@@ -127,7 +127,10 @@ class ChartState:
 
 
 def state_at_end_of(baseline: Baseline, last: FloatArray) -> ChartState:
-    """Return the state before the first set after a baseline, whose last complete set is ``last``."""
+    """Return the chart's state after a baseline, before the first set that it assesses.
+
+    ``last`` is the baseline's last complete set.
+    """
     zero = (0.0,) * baseline.p
     return ChartState(
         index=baseline.set_indices[-1],
@@ -139,7 +142,7 @@ def state_at_end_of(baseline: Baseline, last: FloatArray) -> ChartState:
 def next_chart_state(
     memory: ChartState, design: Design, index: int, vector: FloatArray
 ) -> tuple[ChartState, dict[str, float]]:
-    """Assess one more complete set, shape (p,): return the statistics by name and the next state."""
+    """Assess one more complete set, shape (p,), with the control chart."""
     baseline, chart = design.baseline, design.chart
     before, distance = np.array(memory.vector), max(1, index - memory.index)
     entering = {

@@ -47,7 +47,7 @@ class Directions:
 
 
 def directions_of(vectors: ArrayLike) -> Directions:
-    """Find directions of sets, shape (n, p), in the order of time.
+    """Find the directions of falling autocorrelation in sets, shape (n, p), in the order of time.
 
     Rows of NaN are gaps and keep their position.
 

@@ -11,7 +11,10 @@ from analysis.waves.record_reduction import FloatArray
 
 
 def _standardised(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
-    """Return vectors in standard deviations from the mean of a baseline, shape (..., p)."""
+    """Standardize vectors by the mean and SD of a baseline, shape (..., p).
+
+    Raise InvalidInputError if the last axis is not the baseline's features.
+    """
     x = np.asarray(vectors, dtype=np.float64)
     if x.shape[-1:] != (baseline.p,):
         raise InvalidInputError(
@@ -59,7 +62,7 @@ def contributions(vectors: ArrayLike, baseline: Baseline) -> FloatArray:
 
 
 def named_contributions(vector: ArrayLike, baseline: Baseline) -> dict[str, float]:
-    """Return the contributions of one vector, shape (p,), by feature name."""
+    """Return each feature's contribution to the squared distance of one vector, shape (p,), by name."""
     parts = contributions(vector, baseline)
     if parts.ndim != 1:
         raise InvalidInputError(f"vector has shape {np.shape(vector)}; it must be ({baseline.p},)")

@@ -54,7 +54,7 @@ class SharedChange:
 
 @lru_cache(maxsize=64)
 def _limits(n: int, p: int) -> FloatArray:
-    """Return the limit of the MEWMA at each of `RUN_LENGTHS` for a baseline of n sets and p features."""
+    """Return the MEWMA limit at each of `RUN_LENGTHS` for a baseline of n sets and p features."""
     return np.array([estimated_limit(n, p, length) for length in RUN_LENGTHS.tolist()])
 
 
@@ -78,7 +78,7 @@ def running_chance(statistic: FloatArray, n: int, p: int, period: int) -> FloatA
 
 
 def raised_at(chances: ArrayLike, rate: float = FALSE_DISCOVERY_RATE) -> list[int | None]:
-    """Return the set at which each sensor is raised (None: never).
+    """Return the set at which each sensor's alarm is raised, None where it never is.
 
     At most ``rate`` of them are healthy on average.
 
@@ -169,7 +169,7 @@ def typical_tails(baselines: Sequence[FloatArray]) -> float:
 
 
 def _kurtosis(x: FloatArray) -> float | None:
-    """Return Mardia's kurtosis of rows, 1 for a normal distribution; None for too few rows."""
+    """Return Mardia's kurtosis of rows over that of a normal distribution; None for too few rows."""
     n, p = x.shape
     if n < MINIMUM_SETS:
         return None
@@ -254,7 +254,7 @@ def sensor_gain(
 def residual_shift(
     gains: ArrayLike, causes: Sequence[SharedChange], *, phi: float, n: int, tails: float
 ) -> float:
-    """Return the residual shift in SD without the shared change.
+    """Return the shift that remains without the shared change, in SD.
 
     Three scaled deviations from the median gain.
 

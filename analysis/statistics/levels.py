@@ -12,7 +12,7 @@ FACTOR = 4
 
 
 def level_widths(finest: int, widest: int) -> list[int]:
-    """Return the widths of the blocks in sets, from the finest to at most the widest."""
+    """Return the block width of each level in sets, from ``finest`` to at most ``widest``."""
     widths = []
     while finest <= widest:
         widths.append(finest)
@@ -21,12 +21,12 @@ def level_widths(finest: int, widest: int) -> list[int]:
 
 
 def finer_blocks(number: int) -> range:
-    """Return the numbers of the blocks of the next finer level that a block combines."""
+    """Return the block numbers of the next finer level that block ``number`` combines."""
     return range(number * FACTOR, (number + 1) * FACTOR)
 
 
 def sets_per_step(first: int, last: int, most: int, finest: int = 1) -> int:
-    """Return how many sets, ``finest`` or a power of two as many, a step of a figure has at least.
+    """Return how many sets a step of a figure combines: ``finest`` times a power of two.
 
     Parameters
     ----------

@@ -38,7 +38,10 @@ class Limit:
 
 
 def _check(n: int, p: int) -> None:
-    """Raise an error for numbers of sets and features without a limit."""
+    """Check that a limit exists for n sets and p features.
+
+    Raise InvalidInputError without a feature, NotEnoughSetsError if n is at most p.
+    """
     if p < 1:
         raise InvalidInputError(f"p is {p}; a distance needs at least one feature")
     if n <= p:

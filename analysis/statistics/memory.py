@@ -50,13 +50,13 @@ def corrected_autocorrelation(r: ArrayLike, n: int) -> FloatArray:
 
 
 def pooled_phi(vectors: ArrayLike) -> float:
-    """Return the lag-1 autocorrelation that all features share: the mean of their corrected values."""
+    """Return the mean lag-1 autocorrelation of all features, corrected for the estimated mean."""
     n = int(np.isfinite(np.asarray(vectors)).all(axis=1).sum())
     return float(corrected_autocorrelation(autocorrelation(vectors, 1).mean(), n))
 
 
 def significant_phi(phi: float, n: int) -> float:
-    """Return ``phi`` if independent sets would hardly show it, else 0."""
+    """Return ``phi`` if it is significant for n sets, else 0."""
     return phi if phi > SIGNIFICANT / math.sqrt(n) else 0.0
 
 

@@ -69,7 +69,7 @@ class NamedLimit:
 
 
 def _chi_square(facts: Facts) -> float:
-    """Return the chi-square limit at the false-alarm rate."""
+    """Return the chi-square limit of the squared distance at the false-alarm rate."""
     return float(scipy.special.chdtri(facts.baseline.p, facts.rate))
 
 
@@ -133,5 +133,5 @@ LIMITS: Mapping[str, NamedLimit] = MappingProxyType(
 
 
 def limits_of(facts: Facts) -> dict[str, float]:
-    """Compute every limit of a baseline, by name."""
+    """Compute every outlier limit of a baseline, by name."""
     return {name: limit.value(facts) for name, limit in LIMITS.items()}

@@ -62,7 +62,7 @@ def next_alarm_state(
     outlier: bool | None,
     rule: AlarmRule = AlarmRule(),
 ) -> AlarmState:
-    """Return the state after one more set; ``outlier`` is None where the set was not assessed."""
+    """Update the k-of-n alarm with one more set; ``outlier`` is None if the set was not assessed."""
     if outlier is None:
         return state
     recent = (*state.recent, bool(outlier))[-rule.n :]
@@ -112,7 +112,7 @@ def next_hole_state(
     shot_flags: Sequence[Sequence[str]],
     rule: HoleRule = HoleRule(),
 ) -> HoleState:
-    """Return the state after one more set.
+    """Count consecutive sets without a reflected wave and latch a through hole, after one more set.
 
     Parameters
     ----------

@@ -96,7 +96,7 @@ def assess(
     textbooks: bool = True,
     least_phi: ArrayLike = 0.0,
 ) -> Assessed:
-    """Assess a sequence of sets.
+    """Assess a table of feature vectors against a baseline of its healthy rows.
 
     Parameters
     ----------
@@ -127,7 +127,7 @@ def assess(
 
 
 def _scaled(x: FloatArray, healthy: np.ndarray) -> FloatArray:
-    """Divide columns by powers of two near their size.
+    """Divide columns by powers of two near their size, which keeps all digits.
 
     No digit of a result changes, and no square overflows.
     """
@@ -138,12 +138,12 @@ def _scaled(x: FloatArray, healthy: np.ndarray) -> FloatArray:
 
 
 def _too_few(n: int, subject: str) -> str:
-    """Return the message that a baseline has too few sets."""
+    """Return the error message for a baseline with too few sets."""
     return f"{n} {subject} in the baseline; at least {MINIMUM_SETS} are needed: let it be longer"
 
 
 def _varying_columns(baseline: FloatArray) -> np.ndarray:
-    """Return which columns vary in the baseline, shape (p,)."""
+    """Find the columns that vary in the baseline or have no value there; Boolean, shape (p,)."""
     present = np.isfinite(baseline)
     n = np.maximum(present.sum(axis=0), 1)
     mean = np.where(present, baseline, 0.0).sum(axis=0) / n
@@ -247,7 +247,7 @@ def _find_anomalies(
 def _statistics(
     x: FloatArray, followed: FloatArray, complete: np.ndarray, assessed: np.ndarray, design: Design
 ) -> dict[str, FloatArray]:
-    """Return all rows' statistics by name, except the chart's.
+    """Compute all rows' statistics by name, except the chart's.
 
     ``followed`` has the baseline's and later rows.
     """
@@ -266,7 +266,7 @@ def _whitened(vectors: FloatArray, baseline: Baseline) -> FloatArray:
 
 
 def _values_in_rows(size: int, rows: np.ndarray, values: FloatArray) -> FloatArray:
-    """Return an array of NaN with the values in their rows."""
+    """Return an array of NaN, shape (size,), that holds the values in the given rows."""
     result = np.full(size, np.nan)
     result[rows] = values
     return result
@@ -275,7 +275,7 @@ def _values_in_rows(size: int, rows: np.ndarray, values: FloatArray) -> FloatArr
 def _skipped_rows(
     complete: np.ndarray, healthy: np.ndarray, after: np.ndarray
 ) -> tuple[tuple[int, str], ...]:
-    """Return the rows that are not assessed, each with its reason."""
+    """List the rows that are not assessed, in their order, each with its reason."""
     missing = [(int(row), "a value is missing") for row in np.flatnonzero(~complete)]
     between = np.flatnonzero(complete & ~healthy & ~after)
     missing += [(int(row), "not of the baseline, and before its end: no chart") for row in between]

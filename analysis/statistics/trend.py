@@ -39,13 +39,13 @@ class Trend:
     n_points: int
 
     def at(self, time_h: ArrayLike) -> FloatArray:
-        """Return the value at the given hours, any shape."""
+        """Evaluate the parabola at the given hours, any shape."""
         t = np.asarray(time_h, dtype=np.float64)
         return (self.quadratic * t + self.linear) * t + self.constant
 
 
 def _too_few(n_points: int, n_times: int) -> NotEnoughPointsError:
-    """Return the error for too few points of a parabola."""
+    """Create the error for too few points or times of a parabola."""
     return NotEnoughPointsError(
         f"a parabola through {n_points} points at {n_times} times; it needs at least "
         f"{MINIMUM_POINTS} points at 3 times: wait for more sets"
@@ -82,13 +82,13 @@ def fit_trend(time_h: ArrayLike, values: ArrayLike) -> Trend:
 
 
 def _triangle(rows: FloatArray) -> FloatArray:
-    """Return the triangular factor of matrices with four columns."""
+    """Return the triangular QR factor of matrices with four columns."""
     triangle: FloatArray = np.linalg.qr(rows, mode="r")  # type: ignore[assignment] # declared for one mode only
     return triangle
 
 
 def _trend(triangle: FloatArray, origin_h: float, mean: float, n_points: int) -> Trend:
-    """Return the parabola from the triangular factor of ``[1, u, u^2, y - mean]``.
+    """Compute a parabola from the triangular factor of ``[1, u, u^2, y - mean]``.
 
     Shape (4, 4), u = t - origin_h.
     """
@@ -113,7 +113,7 @@ of ``[1, u, u^2, y - mean]``, u in hours since ``first_h``. Of no points the hou
 
 
 def parts_of_points(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
-    """Make a part of each point.
+    """Convert each point to a part of a least-squares fit, which can be joined with others.
 
     Parameters
     ----------
@@ -134,7 +134,7 @@ def parts_of_points(time_h: ArrayLike, values: ArrayLike) -> NDArray[np.void]:
 
 
 def joined_part(parts: NDArray[np.void]) -> NDArray[np.void]:
-    """Join parts along the first axis: equal to one part of all their points, except for rounding.
+    """Join parts of a fit along the first axis: equal to one part of all points up to rounding.
 
     Parameters
     ----------

@@ -26,7 +26,10 @@ def analytic(values: FloatArray) -> NDArray[np.complex128]:
 
 
 def _one_sided(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
-    """Return the spectrum of the analytic signal: negative frequencies are zero."""
+    """Convert the spectrum of real values to that of their analytic signal.
+
+    Negative frequencies become zero, positive ones are doubled.
+    """
     half = spectrum.size // 2
     out = np.zeros_like(spectrum)
     out[0] = spectrum[0]
@@ -37,7 +40,10 @@ def _one_sided(spectrum: NDArray[np.complex128]) -> NDArray[np.complex128]:
 
 
 def complex_correlation(values: FloatArray, template: FloatArray) -> NDArray[np.complex128]:
-    """Return the correlation at lags 0..n-1; its real part is the plain one, its modulus the envelope."""
+    """Correlate values with a template at lags 0..n-1, as an analytic signal.
+
+    The real part is the plain correlation, the modulus its envelope.
+    """
     n = fast_length(values.size + template.size, FACTORS)
     product = fft(values, n) * np.conj(fft(template, n))
     return np.asarray(ifft(_one_sided(product)))[: values.size]
@@ -58,7 +64,7 @@ def envelope_peak(envelope: FloatArray, peak: int) -> float:
 
 
 def echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, int]:
-    """Return the first and last sample around ``peak`` where the envelope stays above a fraction of it."""
+    """Return the first and last sample around ``peak`` where the envelope is above a fraction of it."""
     low_enough = np.flatnonzero(envelope < fraction * envelope[peak])
     before, after = low_enough[low_enough < peak], low_enough[low_enough > peak]
     first = int(before[-1]) + 1 if before.size else 0
@@ -67,7 +73,10 @@ def echo_extent(envelope: FloatArray, peak: int, fraction: float) -> tuple[int, 
 
 
 def first_envelope_maximum(envelope: FloatArray, first: int, last: int, fraction: float) -> int | None:
-    """Return the index of the first maximum of at least a fraction of the highest in a range."""
+    """Return the index of the first high maximum of an envelope in a range; None without one.
+
+    High is at least ``fraction`` of the highest value in the range.
+    """
     gate = envelope[first - 1 : last + 2]
     inner = gate[1:-1]
     floor = fraction * float(inner.max())
@@ -90,13 +99,13 @@ def nearest_carrier_maximum(carrier: FloatArray, coarse: int) -> tuple[int, bool
 
 
 def correlation_coefficient(segment: FloatArray, template: FloatArray) -> float:
-    """Return the normalised correlation of two segments, -1..1; NaN if one of them is silent."""
+    """Return the normalized correlation of two segments, -1 to 1; NaN if one of them is all zero."""
     norm = math.sqrt(float(segment @ segment) * float(template @ template))
     return float(segment @ template) / norm if norm > 0.0 else math.nan
 
 
 def pick_sd_s(volts: FloatArray, echo_v: FloatArray, rate_hz: float) -> float:
-    """Return the Cramer-Rao bound of an echo's time in white noise.
+    """Return the lowest possible SD of an echo's time in white noise (Cramer-Rao), in s.
 
     Noise over the root of the slope's energy.
 
@@ -109,7 +118,7 @@ def pick_sd_s(volts: FloatArray, echo_v: FloatArray, rate_hz: float) -> float:
 
 
 def centre_of_gravity_hz(values: FloatArray, rate_hz: float) -> float:
-    """Return the centre of gravity of the power spectrum, Hz."""
+    """Return the centre of gravity of a signal's power spectrum, in Hz."""
     power = np.abs(fft(values, 8 * values.size)[: 4 * values.size]) ** 2
     frequency_hz = np.arange(power.size) * rate_hz / (8 * values.size)
     return float(power @ frequency_hz / power.sum())

@@ -43,7 +43,7 @@ def read_echo(
     initial_thickness_m: float,
     element_separation_m: float,
 ) -> EchoReading:
-    """Return the reading of a record (paper, eq. 17).
+    """Measure travel time and wall thickness in one pulse-echo record (paper, eq. 17).
 
     Raises
     ------

@@ -153,7 +153,7 @@ def reference_echo(
     thinnest_fraction: float = THINNEST_FRACTION,
     thickest_fraction: float = THICKEST_FRACTION,
 ) -> EchoReference:
-    """Return the first back-wall echo as the reference.
+    """Find the first back-wall echo of the pristine wall, the reference of later records.
 
     It is the highest envelope peak within ``tolerance_fraction`` of the expected round trip around the
     expected time ``D + 2 th_0 / c``.
@@ -399,7 +399,7 @@ def _check_reference(
     thinnest_fraction: float,
     thickest_fraction: float,
 ) -> None:
-    """Raise an error for a parameter of the reference that is not physical."""
+    """Check the parameters of a reference echo; raise an error for one that is not physical."""
     if not delay_s >= 0.0:
         raise InvalidInputError(f"delay_s is {delay_s} s; it must not be negative")
     for name, value in (
@@ -417,13 +417,13 @@ def _check_reference(
 
 
 def _centred(waveform: Waveform) -> FloatArray:
-    """Return the volts about their median."""
+    """Return the record in volts minus its median."""
     volts = waveform.volts()
     return np.asarray(volts - np.median(volts), dtype=np.float64)
 
 
 def _quality(coefficient: float, slipped: bool) -> tuple[Quality, str]:
-    """Return the quality of a reading, with the reasons if it is not good."""
+    """Rate a reading good, suspect or bad by its correlation; return the reasons too."""
     if not coefficient >= SUSPECT_CORRELATION:
         return "bad", f"correlation {coefficient:.2f} below {SUSPECT_CORRELATION}"
     reasons = []

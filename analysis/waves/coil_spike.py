@@ -114,7 +114,7 @@ def survey_spike(
     trigger_level_v: float,
     rising: bool = True,
 ) -> SpikeSurvey:
-    """Assess the coil spike of one strike.
+    """Assess the coil spike of one strike: height, ringing, and whether it would trigger a record.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def _wave(volts: FloatArray, earliest: int, rate_hz: float) -> tuple[int, float]
 
 
 def _edge(volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trigger_v: float) -> EdgeSpike:
-    """Measure the voltage after an edge, which is at the first sample."""
+    """Measure the coil's voltage after an edge, which is at the first sample."""
     departed = np.abs(volts)
     if departed.max() < seen_v:
         return EdgeSpike()
@@ -211,12 +211,12 @@ def _edge(volts: FloatArray, rate_hz: float, seen_v: float, limit_v: float, trig
 
 
 def _signed(edge: EdgeSpike, sign: float) -> EdgeSpike:
-    """Return an edge with the sign of its heights applied."""
+    """Apply the trigger's sign to the heights of an edge's spike."""
     return replace(edge, height_v=sign * edge.height_v, flyback_v=sign * edge.flyback_v)
 
 
 def _better_level(trigger_v: float, wave_v: float, noise_rms_v: float, sign: float) -> float | None:
-    """Propose a trigger level where the present one does not fit the wave and another clears the noise."""
+    """Propose a trigger level in V; None if the present one fits or no better one clears the noise."""
     lowest, highest = FITTING_LEVEL
     proposed_v = max(LEVEL_OF_WAVE * wave_v, NOISE_PART * noise_rms_v)
     if lowest <= trigger_v / wave_v <= highest or proposed_v > highest * wave_v:

@@ -47,13 +47,13 @@ ROWS_AT_ONCE = 64
 
 
 def is_one_wall(tofs_s: FloatArray) -> bool:
-    """Check whether eight of ten shots arrive within `ONE_WALL_S`."""
+    """Check whether eight of ten shots arrive within `ONE_WALL_S`, so that they show the same wall."""
     ordered, tenth = np.sort(tofs_s), tofs_s.size // 10
     return bool(ordered[-1 - tenth] - ordered[tenth] <= ONE_WALL_S)
 
 
 def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Find shots whose top is lower than their flanks imply, shape (n,): an amplifier near its end.
+    """Find shots with a flattened top: an amplifier near its limit. Boolean, shape (n,).
 
     A hard limit lowers the middle of the ISW's top; a soft one, v - c v^3, more of the ISW than of the PSW,
     which is sought where all shots are of one wall. Height, arrival and width are each shot's own.
@@ -75,18 +75,21 @@ def find_flattened(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[n
 
 
 def _table(outlines: Sequence[Outline]) -> tuple[FloatArray, FloatArray]:
-    """Return points and standard deviations of all outlines, shape (n_outlines, n_points) each."""
+    """Stack points and standard deviations of all outlines, shape (n_outlines, n_points) each."""
     return np.array([one.points for one in outlines]), np.array([one.sd for one in outlines])
 
 
 def _median_wave(points: FloatArray) -> FloatArray:
-    """Return the median of the shots that hold all points; NaN without one."""
+    """Return the median outline of the complete shots, shape (n_points,); NaN if there is none."""
     complete = points[np.isfinite(points).all(axis=1)]
     return column_medians(complete) if len(complete) else np.full(points.shape[1], np.nan)
 
 
 def _slope(wave: FloatArray) -> FloatArray:
-    """Return the change from point to point, shape (n,), n >= 2: `numpy.gradient` without its checks."""
+    """Compute the central differences of a wave, shape (n,), n >= 2.
+
+    Same values as `numpy.gradient`, without its checks.
+    """
     slope = np.empty(wave.size)
     slope[1:-1] = (wave[2:] - wave[:-2]) / 2.0
     slope[0], slope[-1] = wave[1] - wave[0], wave[-1] - wave[-2]
@@ -94,7 +97,7 @@ def _slope(wave: FloatArray) -> FloatArray:
 
 
 def _variation_columns(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArray:
-    """Return columns of normal variation of a sound shot: arrival of each wave, width of all."""
+    """Build columns of a sound shot's normal variation: arrival of each wave, width of all."""
     n = sum(wave.size for _, _, wave in waves)
     columns = np.zeros((n, len(waves) + 1))
     for k, (begin, first, wave) in enumerate(waves):
@@ -105,7 +108,7 @@ def _variation_columns(waves: Sequence[tuple[int, int, FloatArray]]) -> FloatArr
 
 
 def _fitted(columns: FloatArray, values: FloatArray) -> FloatArray:
-    """Return least-squares weights of a few columns, shape (m, k), for values of shape (m,) or (m, n)."""
+    """Fit least-squares weights of a few columns, shape (m, k), to values of shape (m,) or (m, n)."""
     gram = columns.T @ columns
     gram.flat[:: len(gram) + 1] += GRAIN * gram.trace()
     return np.asarray(np.linalg.solve(gram, columns.T @ values))
@@ -119,7 +122,7 @@ def _lowered(
     sd: FloatArray,
     least: float,
 ) -> NDArray[np.bool_]:
-    """Return the points that a pattern lowers by more than their scatter explains, shape (n,)."""
+    """Find the points that a pattern lowers by more than their scatter explains; Boolean, shape (n,)."""
     if not (np.isfinite(middle).all() and pattern.any()):
         return np.zeros(len(points), dtype=bool)
     variation = np.column_stack([middle, variation])
@@ -134,7 +137,7 @@ def _lowered(
 
 
 def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArray[np.bool_]:
-    """Find shots that lost samples after the reflected wave's top, shape (n,).
+    """Find shots that lost samples after the top of the reflected wave; Boolean, shape (n,).
 
     What follows came earlier than in the middle of all shots by one length, at once: that must explain most
     of the difference from it. Only shots of one wall are compared.
@@ -160,7 +163,10 @@ def find_lost_samples(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArra
 
 
 def _cut(left: FloatArray, middle: FloatArray, noise2: FloatArray, scatter2: float) -> NDArray[np.bool_]:
-    """Search for a cut of each length after each point; arrays below are (shots, lengths, points)."""
+    """Search for lost samples: a cut of each length after each point of an outline.
+
+    Arrays below have the shape (shots, lengths, points).
+    """
     least = np.maximum(CUT_SD2 * noise2, max(CUT_SCATTER2 * scatter2, LEAST_CUT))[:, None]
     place = np.arange(middle.size)
     later = place + SHIFTS[:, None]

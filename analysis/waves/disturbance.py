@@ -108,7 +108,7 @@ def is_cut(record: ReducedRecord, time_s: float, fwhm_s: float, rate_hz: float) 
 def deepest_pull(
     record: ReducedRecord, isw_v: float, psw_time_s: float | None, noise_v: float
 ) -> tuple[float, bool]:
-    """Return how far the record falls below its quiet level, and whether no push explains it.
+    """Measure how far the record falls below its quiet level, and whether no push explains it.
 
     It is looked at up to `LOOKED_AFTER_PSW_S`, less strictly in the PSW's wake; the drift is a straight line.
 
@@ -165,7 +165,7 @@ def has_edge(record: ReducedRecord, isw_v: float, isw_fwhm_s: float, noise_v: fl
 def drifts(
     record: ReducedRecord, isw: Pulse, psw: Pulse | None, least_fraction: float, noise_v: float
 ) -> bool:
-    """Check whether the quiet part before the ISW or the record's end leaves the quiet level: hum, drift.
+    """Check for hum or drift: the quiet part before the ISW, or the record's end, is off its level.
 
     The stretch's 10-us means range over more, or the end lies farther off, than the stated fraction of the
     ISW and six standard deviations of noise.
@@ -181,7 +181,7 @@ def drifts(
 
 
 def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
-    """Return the offset of the record's end from the quiet level, by a line through its last short means.
+    """Return the offset of the record's end from the quiet level in V, by a line through short means.
 
     A third wave that passes there leaves some of them on the level.
     """
@@ -206,7 +206,7 @@ def _end_level(record: ReducedRecord, psw: Pulse | None) -> float:
 
 
 def noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> list[set[str]]:
-    """Find stretches without noise: the flags of lost samples, of a plateau, of a line.
+    """Find stretches without noise; return the flags of lost samples, a plateau or a line per record.
 
     Lost samples were replaced by zeros, by the last one, or by a line between their neighbours.
     """
@@ -228,7 +228,7 @@ def noise_free_flags(records: Sequence[ReducedRecord], rate_hz: float) -> list[s
 
 
 def _stretches_without_noise(record: ReducedRecord, rate_hz: float) -> set[str]:
-    """Return the flags of stretches whose samples follow one another without noise."""
+    """Return the flags of stretches in one record whose samples follow one another without noise."""
     steps = np.diff(record.samples_v)
     shortest = max(FEWEST_ALIKE, SHORTEST_ALIKE_S * rate_hz)
     found = _find_constant_stretches(record, steps, shortest)
@@ -241,7 +241,7 @@ def _stretches_without_noise(record: ReducedRecord, rate_hz: float) -> set[str]:
 
 
 def _find_constant_stretches(record: ReducedRecord, steps: FloatArray, shortest: float) -> set[str]:
-    """Find stretches of equal samples that are too long for the record's noise."""
+    """Return the flags of stretches of equal samples that are too long for the record's noise."""
     samples = record.samples_v
     lowest, highest = float(samples.min()), float(samples.max())
     edges = np.flatnonzero(np.concatenate([[True], steps != 0.0, [True]]))

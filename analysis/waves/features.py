@@ -147,17 +147,17 @@ class ShotFeatures:
         return dict(zip(ALL_FEATURE_NAMES, _EVERY_FEATURE(self), strict=True))
 
     def vector(self) -> FloatArray:
-        """Return the five features of the Mahalanobis vector, shape (5,)."""
+        """Return the shot's five features of the Mahalanobis vector, shape (5,); NaN where one is missing."""
         return np.array([getattr(self, name) for name in FEATURE_NAMES])
 
 
 def with_flags(shot: ShotFeatures, found: Collection[str]) -> ShotFeatures:
-    """Set a shot's flags, in the order of `FLAGS`, and the values that follow from them."""
+    """Return the shot with other flags, and with the validity and quality that follow from them."""
     return replace(shot, **_quality_of(found))
 
 
 def _quality_of(found: Collection[str]) -> dict[str, Any]:
-    """Return flags, validity and quality of a shot by its flags."""
+    """Derive ordered flags, validity and quality of a shot from the flags found."""
     flags = tuple(flag for flag in FLAGS if flag in found)
     valid = INVALIDATING_FLAGS.isdisjoint(flags)
     return {
@@ -193,12 +193,12 @@ class SetFeatures:
     reason: str
 
     def vector(self) -> FloatArray:
-        """Return the five features of the Mahalanobis vector, shape (5,)."""
+        """Return the set's mean of the five features of the Mahalanobis vector, shape (5,)."""
         return np.array([self.mean[name] for name in FEATURE_NAMES])
 
 
 def extract_features(waveform: Waveform, settings: ExtractionSettings = ExtractionSettings()) -> ShotFeatures:  # noqa: B008 frozen, so a shared default is safe
-    """Return the features of one shot.
+    """Extract the features of one shot from its waveform.
 
     Parameters
     ----------
@@ -217,7 +217,7 @@ def extract_all(
     waveforms: Sequence[Waveform],
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
 ) -> list[ShotFeatures]:
-    """Return the features of each of many shots, bit-identical to those of each alone.
+    """Extract the features of many shots, bit-identical to those of each alone.
 
     One step after the other for all of them costs less than one shot after the other: a processor that
     repeats itself has at hand what it needs.
@@ -239,7 +239,7 @@ def extract_from_average(
     waveforms: Sequence[Waveform],
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
 ) -> ShotFeatures:
-    """Return the features of the mean of a set's records (the paper's way), clipped if any of them is.
+    """Extract the features of the mean of a set's records (the paper's way), clipped if any is.
 
     The records are averaged as triggered, not aligned: a jitter of the trigger widens the pulses.
 
@@ -276,7 +276,7 @@ def extract_from_volts(
     settings: ExtractionSettings = ExtractionSettings(),  # noqa: B008 frozen
     with_sd: bool = False,
 ) -> ShotFeatures:
-    """Return the features of a record in volts, shape (n_samples,); see `extract_features`.
+    """Extract the features of a record in volts, shape (n_samples,); see `extract_features`.
 
     Parameters
     ----------
@@ -293,7 +293,7 @@ def extract_from_volts(
 def _extract(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool = False
 ) -> list[ShotFeatures]:
-    """Extract the features of records of any kind; records of one kind are processed together."""
+    """Extract the features of records in their order; records of one kind are processed together."""
     kinds: dict[tuple[int, float, int], list[int]] = {}
     for number, one in enumerate(given):
         kinds.setdefault(one.kind, []).append(number)
@@ -309,7 +309,7 @@ def _extract(
 def _extract_alike(
     given: Sequence[VoltRecord], settings: ExtractionSettings, *, with_sd: bool
 ) -> list[ShotFeatures]:
-    """Return the features of records of one kind (`VoltRecord.kind`)."""
+    """Extract the features of records of one length, rate and pre-trigger (`VoltRecord.kind`)."""
     records = reduce_records(given, settings)
     pulses = [find_pulses(record, settings) for record in records]
     rate_hz = given[0].sample_rate_hz
@@ -342,7 +342,7 @@ def _extract_alike(
 
 
 def _outline(record: ReducedRecord, pulses: Pulses) -> Outline | None:
-    """Return the outline of a record; None if one of its pulses is missing."""
+    """Sample the outline of a record; None if its incident or reflected wave is missing."""
     isw, psw = pulses.isw, pulses.psw
     return None if isw is None or psw is None else outline(record, isw, psw)
 
@@ -355,7 +355,7 @@ def _flags(
     still: set[str],
     at_trigger: tuple[bool, bool],
 ) -> tuple[set[str], float]:
-    """Return a shot's flags without that of its counts, and `ShotFeatures.pull_fraction`."""
+    """Return a shot's flags, without that of its counts, and `ShotFeatures.pull_fraction`."""
     if "lost_samples" in still:
         return still, math.nan
     spiked, stirred = at_trigger
@@ -391,7 +391,10 @@ def _flags(
 def _has_moved(
     record: ReducedRecord, pulses: Pulses, isw: Pulse, settings: ExtractionSettings, noise_v: float
 ) -> tuple[set[str], float]:
-    """Check for stretches that exceed noise with the stated standard deviation of a block mean."""
+    """Return the flags of disturbances that exceed the noise, and the depth of the deepest pull.
+
+    ``noise_v`` is the standard deviation of a block mean.
+    """
     psw_time_s = None if pulses.psw is None else pulses.psw.time_s
     pull, pulled = deepest_pull(record, isw.amplitude_v, psw_time_s, noise_v)
     seen = {
@@ -433,7 +436,7 @@ def _at_trigger(records: Sequence[ReducedRecord]) -> list[tuple[bool, bool]]:
 def _compute_features(
     record: ReducedRecord, pulses: Pulses, settings: ExtractionSettings
 ) -> dict[str, float]:
-    """Compute every available feature."""
+    """Compute every feature that the pulses of a record allow, by name."""
     isw, psw, ssw = pulses.isw, pulses.psw, pulses.ssw
     values: dict[str, float] = {}
     if isw is None:
@@ -477,7 +480,7 @@ def _area(record: ReducedRecord, centre_s: float, half_width_s: float) -> float:
 def _autocorrelated(
     record: ReducedRecord, isw: Pulse, psw: Pulse, settings: ExtractionSettings
 ) -> dict[str, float]:
-    """Return time of flight and coefficient by autocorrelation; empty where no PSW stands out.
+    """Compute time of flight and coefficient by autocorrelation; empty if no PSW is prominent.
 
     The gate's edges fall on blocks. R(k) is summed over every block of the moving mean instead of every
     sample: the mean leaves nothing for the missing samples to add. The few lags wanted cost less one by one
@@ -512,7 +515,7 @@ def _autocorrelated(
 
 
 def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VALID_SHOTS) -> SetFeatures:
-    """Return mean and standard deviation of the valid shots' features, without far outliers of each.
+    """Average the valid shots' features, without far outliers of each; return mean and SD.
 
     A value is left out beyond `FAR_APART` of 1.4826 x the median distance from the median, as long as
     `FEWEST_FOR_FAR` shots are valid: the mean of all is the better one but for rogue shots.
@@ -563,7 +566,7 @@ def mean_features(shots: Sequence[ShotFeatures], minimum_valid: int = MINIMUM_VA
 
 
 def _without_outliers(table: FloatArray) -> FloatArray:
-    """Replace values far from the others of their column by NaN."""
+    """Replace values far from their column's median, in units of its MAD, by NaN."""
     known = np.where(np.isnan(table).any(axis=0), 0.0, table)  # a feature that some shots lack is left alone
     distance = np.abs(known - column_medians(known))
     middle = column_medians(distance)

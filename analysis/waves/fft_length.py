@@ -15,7 +15,7 @@ def fast_length(n: int, factors: tuple[int, ...] = (2, 3, 5)) -> int:
 
 
 def _is_product(n: int, factors: tuple[int, ...]) -> bool:
-    """Return whether a number has no other prime factors."""
+    """Check whether a number has no prime factors other than ``factors``."""
     for factor in factors:
         while n % factor == 0:
             n //= factor

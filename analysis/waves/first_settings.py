@@ -93,7 +93,7 @@ class Proposal:
 
 
 def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, fall_s: float) -> Proposal:
-    """Propose settings from one strike of each transducer, at least one.
+    """Propose acquisition settings from one strike of each transducer, at least one.
 
     Parameters
     ----------
@@ -114,6 +114,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
     sign = -1.0 if len(falling) == len(struck) else 1.0
 
     def surveys(pretrigger_s: float, above_v: Mapping[str, float]) -> dict[str, SpikeSurvey]:
+        """Survey the coil spike of every transducer, by name."""
         return {
             name: survey_spike(
                 one.strike,
@@ -176,7 +177,7 @@ def propose_settings(struck: Mapping[str, StruckTransducer], *, pulse_s: float, 
 def shot_within(
     strike: Waveform, *, after_s: float, level_v: float, rising: bool, pretrigger_samples: int, samples: int
 ) -> Waveform | None:
-    """Return the record that the trigger would have started; None where the level is not reached in time.
+    """Cut the record that the trigger would start out of a strike; None if it is not reached in time.
 
     Parameters
     ----------
@@ -198,14 +199,14 @@ def shot_within(
 
 
 def _block_means(volts: FloatArray, rate_hz: float) -> tuple[FloatArray, int]:
-    """Return means over blocks in which an electrical spike hardly shows, and the samples of a block."""
+    """Average volts in blocks that hide electrical spikes; return means and samples per block."""
     block = max(1, round(WAVE_BLOCK_S * rate_hz))
     n_blocks = volts.size // block
     return volts[: n_blocks * block].reshape(n_blocks, block).mean(axis=1), block
 
 
 def _crest(one: StruckTransducer, earliest_s: float) -> float:
-    """Return the largest deviation, with its sign, where a wave can be."""
+    """Return the largest deviation in V, with its sign, where a wave can be."""
     rate_hz = one.strike.sample_rate_hz
     means, _ = _block_means(one.strike.volts()[round(earliest_s * rate_hz) :], rate_hz)
     departures = means - median(one.noise.volts())
@@ -215,7 +216,10 @@ def _crest(one: StruckTransducer, earliest_s: float) -> float:
 def _level(
     waves_v: Mapping[str, float], noises_v: Mapping[str, float], offset_v: float, sign: float
 ) -> float | None:
-    """Return one trigger level for all transducers: from the smallest wave and the largest noise."""
+    """Choose one trigger level in V for all transducers; None if no level fits.
+
+    It depends on the smallest wave and the largest noise.
+    """
     if not waves_v:
         return None
     smallest_v, noise_v = min(waves_v.values()), max(noises_v[name] for name in waves_v)
@@ -224,7 +228,7 @@ def _level(
 
 
 def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: float, sign: float) -> float:
-    """Return the time from the wave's first deviation until the level is reached."""
+    """Return the time in s from the wave's first deviation until it reaches the level."""
     rate_hz = one.strike.sample_rate_hz
     volts = sign * (one.strike.volts()[round(earliest_s * rate_hz) :] - median(one.noise.volts()))
     means, block = _block_means(volts, rate_hz)
@@ -234,7 +238,10 @@ def _rise_s(one: StruckTransducer, earliest_s: float, above_v: float, noise_v: f
 
 
 def _holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float | None, float, str]:
-    """Return one holdoff and ringing for all transducers, and the one whose coil rings longest."""
+    """Choose one holdoff for all transducers; None if the coil rings for too long.
+
+    Return also the ringing time in s, and the transducer whose coil rings longest.
+    """
     loudest = max(surveys, key=lambda name: surveys[name].off.ringing_s)
     ringing_s = math.ceil(surveys[loudest].off.ringing_s * 1e4) / 1e4
     room_s = min(survey.latest_holdoff_s for survey in surveys.values()) - ringing_s
@@ -244,7 +251,10 @@ def _holdoff(surveys: Mapping[str, SpikeSurvey], fall_s: float) -> tuple[float |
 
 
 def _range(one: StruckTransducer, listens_s: float) -> tuple[float, bool, bool]:
-    """Return the smallest range with headroom, whether the record was clipped, and whether the range fits."""
+    """Choose the smallest input range in V with headroom.
+
+    Return also whether the record was clipped, and whether any range fits.
+    """
     first = round(listens_s * one.strike.sample_rate_hz)
     part = replace(one.strike, counts=one.strike.counts[first:])
     needed_v = HEADROOM * float(np.abs(part.volts()).max())

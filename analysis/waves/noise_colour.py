@@ -69,7 +69,7 @@ class NoiseColour:
 
 
 def noise_colour(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> NoiseColour:
-    """Estimate the colour of a record's noise.
+    """Estimate the colour of a record's noise from the quiet part before the incident wave.
 
     Parameters
     ----------
@@ -120,7 +120,7 @@ def strongest_block_noise_v(record: ReducedRecord, isw_time_s: float, isw_fwhm_s
 
 
 def _quiet_before(record: ReducedRecord, isw_time_s: float, isw_fwhm_s: float) -> int:
-    """Count the quiet blocks before the wave."""
+    """Count the quiet blocks before the incident wave; 0 if its time is unknown."""
     before = record.index(isw_time_s - QUIET_BEFORE_PEAK_PER_FWHM * isw_fwhm_s)
     return max(0, min(record.quiet_blocks, math.floor(before))) if math.isfinite(before) else 0
 
@@ -133,7 +133,7 @@ def _coloured(
     memory: float,
     of_differences: float,
 ) -> NoiseColour:
-    """Return the noise colour of a record from its variances at several time scales."""
+    """Derive the noise colour of a record from its variances at several time scales."""
     block2, _, flank2, slow2 = bands
     return NoiseColour(
         sample2=sample2,
@@ -166,7 +166,7 @@ def _chance_mean_square(n: float) -> float:
 
 @lru_cache(maxsize=256)
 def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
-    """Return orthonormal columns, shape (n, n).
+    """Build orthonormal columns that model the quiet part of a record, shape (n, n).
 
     A constant, two of the wave's foot, cosines of rising frequency.
     """
@@ -179,7 +179,7 @@ def _quiet_basis(n: int, fwhm_blocks: int) -> FloatArray:
 
 
 def _summed_autocorrelation(x: FloatArray, lags: int) -> float:
-    """Return the sum of squared autocorrelations over all lags, without the chance part."""
+    """Sum the squared autocorrelations over all lags, without those that chance explains."""
     begin = x[: x.size - lags]
     energy = float(begin @ begin)
     if energy == 0.0:

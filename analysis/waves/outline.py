@@ -65,7 +65,7 @@ class Outline:
 
 
 def outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
-    """Sample a record at its outline points, linearly between blocks."""
+    """Sample a record around ISW and PSW at fixed points, in units of the ISW's height."""
     stride, points = max(1, round(STEP_S / record.step_s)), np.full(N_POINTS, math.nan)
     _sample_points(record, isw, FROM_ISW, stride, points[:N_ISW])
     _sample_points(record, psw, FROM_PSW, stride, points[N_ISW:])
@@ -75,7 +75,7 @@ def outline(record: ReducedRecord, isw: Pulse, psw: Pulse) -> Outline:
 
 
 def _sample_points(record: ReducedRecord, pulse: Pulse, first: int, stride: int, points: FloatArray) -> None:
-    """Fill in the points from ``first`` on that the record holds, if it holds that one."""
+    """Fill in the samples around a pulse, from ``first`` on, as far as the record reaches."""
     at = record.index(pulse.matched_time_s)
     begin = math.floor(at) + first * stride
     if begin < 0:
@@ -116,7 +116,7 @@ def find_unlike_others(outlines: Sequence[Outline], tofs_s: FloatArray) -> NDArr
 
 
 def _distances(table: FloatArray, start: int, others: NDArray[np.intp]) -> FloatArray:
-    """Return the RMS difference of rows from each of the others, shape (n_parts, n_rows, n_others).
+    """Compute the RMS difference of rows from each of the others, shape (n_parts, n_rows, n_others).
 
     It is inf to itself, and where one of both does not hold the part.
     """

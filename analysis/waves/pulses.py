@@ -99,7 +99,7 @@ class Pulses:
 
 
 def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
-    """Find ISW, PSW and SSW.
+    """Find incident (ISW), reflected (PSW) and second reflected wave (SSW) in a record.
 
     The ISW is the first maximum of the matched filter above half of its largest; it must rise
     ``missed_below_snr`` above the noise and, where no PSW is found, leave room for one in the record. The
@@ -161,7 +161,7 @@ def find_pulses(record: ReducedRecord, settings: ExtractionSettings) -> Pulses:
 
 
 def first_fwhm_s(samples_v: FloatArray, sample_rate_hz: float, pretrigger_samples: int) -> float:
-    """Return the width of a record's highest pulse before anything else is known of it.
+    """Measure the width of a record's highest pulse in s, before its settings are known.
 
     NaN where it has no flanks, or is no more than noise makes.
     """
@@ -206,7 +206,7 @@ def search_windows_s(
 def _find_isw(
     record: ReducedRecord, maxima: list[int], top: float, settings: ExtractionSettings
 ) -> Pulse | None:
-    """Return the incident wave: the first large maximum that is wide enough; None if there is none."""
+    """Find the incident wave: the first large maximum that is wide enough; None if there is none."""
     first = next((index for index in maxima if record.matched_v[index] >= 0.5 * top), None)
     if first is None or top <= 0.0:
         return None
@@ -227,7 +227,7 @@ def _leaves_room(record: ReducedRecord, isw: Pulse, settings: ExtractionSettings
 
 
 def _maxima(values: FloatArray) -> list[int]:
-    """Return the indices of the interior local maxima (the first sample of a plateau)."""
+    """Return the indices of interior local maxima; of a plateau the first sample."""
     rising = values[1:-1] > values[:-2]
     return ((rising & (values[1:-1] >= values[2:])).nonzero()[0] + 1).tolist()
 
@@ -235,7 +235,10 @@ def _maxima(values: FloatArray) -> list[int]:
 def _first_pulse(
     record: ReducedRecord, maxima: list[int], first: float, last: float, fraction: float, floor: float
 ) -> Pulse | None:
-    """Return the first pulse in a range above ``floor`` and above ``fraction`` of the highest there."""
+    """Find the first pulse in a range that is high enough; None if there is none.
+
+    High enough is at least ``floor``, and ``fraction`` of the highest in the range.
+    """
     found = [index for index in maxima if first <= index <= last]
     inside = list(zip(found, record.matched_v[found].tolist(), strict=True)) if found else []
     highest = max((height for _, height in inside), default=0.0)
@@ -252,7 +255,7 @@ def parabola_peak(before: float, centre: float, after: float) -> float:
 
 
 def _measure_pulse(record: ReducedRecord, matched_index: int) -> Pulse | None:
-    """Return quartic, width and matched-filter time of the pulse at one maximum of the matched filter."""
+    """Measure quartic peak, width and matched-filter time of the pulse at a matched-filter maximum."""
     blocks, matched = record.blocks_v, record.matched_v
     before, centre_v, after = matched[matched_index - 1 : matched_index + 2].tolist()
     shift = parabola_peak(before, centre_v, after)
@@ -300,7 +303,7 @@ def _stretch_above(values: FloatArray, peak: int, level: float) -> tuple[int, in
 
 
 def _width_at(values: FloatArray, peak: int, level: float) -> float:
-    """Return the width in samples between the interpolated crossings of ``level`` around ``peak``.
+    """Measure the width in samples between the interpolated crossings of ``level`` around ``peak``.
 
     0 where ``peak`` itself lies below the level, NaN where a side never falls to it.
     """
@@ -351,7 +354,7 @@ def _quartic_maximum(values: FloatArray) -> tuple[float, float, float] | None:
 def _extra_pulses(
     record: ReducedRecord, isw: Pulse, psw: Pulse | None, settings: ExtractionSettings, noise_v: float
 ) -> tuple[bool, bool, bool]:
-    """Check for a second strike, a PSW merged with another wave, and a pulse that no strike causes.
+    """Check for a second strike, a merged PSW, and a pulse that no strike causes.
 
     `noise_v` is the standard deviation of a block mean.
     """
@@ -386,7 +389,7 @@ def _extra_pulses(
 def _second_reflection(
     record: ReducedRecord, maxima: list[int], isw: Pulse, psw: Pulse, settings: ExtractionSettings
 ) -> bool:
-    """Check for the reflection of a second strike whose own wave is hidden by the first reflection.
+    """Check for a hidden second strike by its reflection, when the first reflection covers its wave.
 
     It is that part of the second wave which the PSW is of the first, and comes as much later than the PSW as
     the second strike than the first. The PSW hides one that came about its time of flight after the first.

@@ -81,7 +81,7 @@ class RestrikeRule:
             )
 
     def wants(self, shot_flags: Sequence[str], *, attempt: int, restrikes_so_far: int) -> bool:
-        """Return whether to repeat a shot.
+        """Check whether the rule repeats a shot.
 
         Parameters
         ----------
@@ -107,7 +107,7 @@ class Attempt:
 
 
 def outcomes(attempts: Sequence[Attempt]) -> list[str]:
-    """Return ``accepted`` or ``superseded`` for each record: of a shot's attempts the best one counts.
+    """Mark each record ``accepted`` or ``superseded``: of a shot's attempts the best one counts.
 
     Of equally good ones the last counts: it was struck because something was wrong with the first.
     """
@@ -123,5 +123,5 @@ def outcomes(attempts: Sequence[Attempt]) -> list[str]:
 
 
 def _merit(item: Attempt) -> tuple[int, int]:
-    """Return what ranks an attempt: its quality, then the later one."""
+    """Return the sort key of an attempt: its quality, then its number, so that the latest wins."""
     return _RANK[item.quality], item.attempt

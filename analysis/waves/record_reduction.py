@@ -169,21 +169,21 @@ class ReducedRecord:
         return self.time_s(self.blocks_v.size - 0.5)
 
     def time_s(self, index: float) -> float:
-        """Return the time from the trigger of a (fractional) block index."""
+        """Convert a (fractional) block index to the time from the trigger in s."""
         return self.first_s + index * self.step_s
 
     def index(self, time_s: float) -> float:
-        """Return the fractional block index of a time from the trigger."""
+        """Convert a time from the trigger in s to a fractional block index."""
         return (time_s - self.first_s) / self.step_s
 
 
 def odd(width: float) -> int:
-    """Return the nearest odd number, at least 1."""
+    """Round to the nearest odd number, at least 1."""
     return 2 * max(0, round(0.5 * (width - 1.0))) + 1
 
 
 def moving_mean(values: FloatArray, width: int) -> FloatArray:
-    """Return centred means of ``width`` (odd) neighbours, shape (n,), n >= width.
+    """Compute centred means of ``width`` (odd) neighbours, shape (n,), n >= width.
 
     Zeros outside the record.
     """
@@ -192,7 +192,7 @@ def moving_mean(values: FloatArray, width: int) -> FloatArray:
 
 
 def moving_means(rows: FloatArray, width: int) -> FloatArray:
-    """Return the moving mean of each row, shape (n_rows, n)."""
+    """Compute the moving mean of each row, shape (n_rows, n)."""
     # One correlation of all, with zeros between them.
     gap, (n_rows, n) = width // 2, rows.shape
     spaced = np.zeros(n_rows * (n + gap) + 2 * gap)
@@ -202,7 +202,7 @@ def moving_means(rows: FloatArray, width: int) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def mean_weights(width: int) -> FloatArray:
-    """Return equal weights whose sum is 1, shape (width,)."""
+    """Return the weights of a moving mean: equal, with the sum 1; shape (width,), read-only."""
     weights = np.full(width, 1.0 / width)
     weights.flags.writeable = False
     return weights
@@ -221,13 +221,16 @@ def median(values: FloatArray) -> float:
 
 
 def column_medians(table: FloatArray) -> FloatArray:
-    """Return the median of each column, shape (n, m), n >= 1: NumPy's digits without its search for NaN."""
+    """Compute the median of each column, shape (n, m), n >= 1.
+
+    Same digits as `numpy.median`, without its search for NaN.
+    """
     ordered, upper = np.sort(table, axis=0), len(table) // 2
     return np.asarray(ordered[upper] if len(table) % 2 else (ordered[upper - 1] + ordered[upper]) / 2.0)
 
 
 def kernel(width_blocks: float) -> FloatArray:
-    """Return weights cos^4(pi t / W) / sum(cos^8) of the matched filter, shape (2 k + 1,)."""
+    """Return the matched filter's weights cos^4(pi t / W) / sum(cos^8), shape (2 k + 1,)."""
     half = math.ceil(width_blocks / 2) - 1
     weights: FloatArray = np.cos(np.pi * np.arange(-half, half + 1) / width_blocks) ** 4
     return weights / float(weights @ weights)
@@ -235,14 +238,14 @@ def kernel(width_blocks: float) -> FloatArray:
 
 @lru_cache(maxsize=64)
 def noise_gain(width_blocks: float) -> float:
-    """Return the standard deviation of the matched filter's output for white noise of 1."""
+    """Return the SD of the matched filter's output for white noise of SD 1."""
     weights = kernel(width_blocks)
     return math.sqrt(float(weights @ weights))
 
 
 @lru_cache(maxsize=64)
 def _kernel_spectrum(width_blocks: float, n_fft: int) -> NDArray[np.complex128]:
-    """Return the spectrum of cos^4(pi t / W) / sum(cos^8), centred on sample 0."""
+    """Return the spectrum of the matched filter's weights, centred on sample 0, read-only."""
     weights = kernel(width_blocks)
     half = weights.size // 2
     wrapped = np.zeros(n_fft)
@@ -279,7 +282,9 @@ def matched_filter(blocks_v: FloatArray, width_blocks: float) -> FloatArray:
 
 
 def noise_rms(samples_v: FloatArray) -> float:
-    """Return the white noise of one sample: 1.4826 MAD(differences) / sqrt(2); blind to pulses, hum, offset.
+    """Estimate the white noise of one sample; blind to pulses, hum and offset.
+
+    It is 1.4826 MAD(differences) / sqrt(2).
 
     The median is sought in bins of 1/64 of the mean, linearly inside a bin, from where it usually lies: a few
     counts cost a sixth of a partition. Where few large differences make the mean, the bins are too wide and
@@ -304,7 +309,7 @@ def noise_rms(samples_v: FloatArray) -> float:
 
 
 def fine_noise(blocks_v: FloatArray) -> float:
-    """Return the white noise of a block mean: 1.4826 MAD(third differences) / sqrt(20).
+    """Estimate the white noise of a block mean: 1.4826 MAD(third differences) / sqrt(20).
 
     No wave is left in them: a cos^4 pulse of 65 us leaves 5e-5 of its height at blocks of 1 us.
     """
@@ -312,7 +317,7 @@ def fine_noise(blocks_v: FloatArray) -> float:
 
 
 def block_noise(blocks_v: FloatArray, white_v: float) -> float:
-    """Return the noise of a block mean.
+    """Estimate the noise of a block mean.
 
     From white noise, or `fine_noise` where that is significantly larger.
     """
@@ -326,7 +331,7 @@ def block_noise(blocks_v: FloatArray, white_v: float) -> float:
 
 
 def _third_differences(blocks_v: FloatArray) -> FloatArray:
-    """Return absolute values of a - 3 b + 3 c - d, shape (n - 3,)."""
+    """Compute the absolute third differences a - 3 b + 3 c - d, shape (n - 3,)."""
     differences = blocks_v[2:-1] - blocks_v[1:-2]
     differences *= -3.0
     differences += blocks_v[3:]
@@ -411,7 +416,7 @@ def reduce_records(given: Sequence[VoltRecord], settings: ExtractionSettings) ->
 
 
 def minimum_after_isw_s(settings: ExtractionSettings) -> float:
-    """Return the minimum time from ISW to a sound wall's reflected wave.
+    """Return the minimum time in s from the ISW to the reflected wave of a sound wall.
 
     The record's end bounds the search.
     """
@@ -425,7 +430,7 @@ def _check_record(
     step_s: float,
     settings: ExtractionSettings,
 ) -> None:
-    """Raise an error for a record that is too short, too coarse or has too little pre-trigger."""
+    """Check a record's length, rate and pre-trigger; raise an error for too little of one."""
     if not (math.isfinite(sample_rate_hz) and sample_rate_hz > 0.0):
         raise RecordError(f"sample_rate_hz is {sample_rate_hz}; it must be positive")
     if not 0 < pretrigger_samples < n_samples:

@@ -115,7 +115,10 @@ def learn_template(shots: Sequence[ShotFeatures]) -> Template | None:
 
 
 def _quantile(ordered: FloatArray, part: float) -> FloatArray:
-    """Return a quantile of each column of sorted numbers, linear between two: `numpy.quantile` is slow."""
+    """Compute a quantile of each column of sorted numbers, linear between two.
+
+    `numpy.quantile` is slow.
+    """
     place = part * (len(ordered) - 1)
     low, high = ordered[math.floor(place)], ordered[math.ceil(place)]
     return np.asarray(low + (place % 1.0) * (high - low))
@@ -137,21 +140,21 @@ def flag_residual_reflections(shots: Sequence[ShotFeatures], usual_ratio: float 
 
 
 def _has_no_reflection(shot: ShotFeatures) -> ShotFeatures:
-    """Return the features of a shot without a reflected wave, with the flag that says so."""
+    """Return the shot without a reflected wave, with the flag ``no_psw`` (``missed`` if disturbed)."""
     # What is no strike alone can be no sign of a hole.
     flag = "missed" if DISTURBED in shot.flags else "no_psw"
     return with_flags(replace(_of_incident_wave(shot), outline=None), {*shot.flags, flag} - {"psw_merged"})
 
 
 def _of_incident_wave(shot: ShotFeatures) -> ShotFeatures:
-    """Return the shot with only the features of the incident wave."""
+    """Return the shot with NaN for every feature that is not of the incident wave or the noise."""
     unknown = [name for name in ALL_FEATURE_NAMES if not name.startswith(("isw_", "noise_"))]
     nothing: dict[str, Any] = dict.fromkeys(unknown, math.nan)
     return replace(shot, **nothing)
 
 
 def compare_with_others(shots: Sequence[ShotFeatures], template: Template | None) -> list[ShotFeatures]:
-    """Compare shots of one transducer with its template, then with one another (`outline`, `distortion`)."""
+    """Flag shots of one transducer that differ from its template, then from one another."""
     typical_ratio = None if template is None else template.amplitude_ratio
     found = [
         compare_with_template(shot, template) for shot in flag_residual_reflections(shots, typical_ratio)
@@ -206,7 +209,7 @@ def compare_with_template(shot: ShotFeatures, template: Template | None) -> Shot
 
 
 def _arrival_differs(shot: ShotFeatures, template: Template) -> bool:
-    """Return whether the incident wave arrives at another time than in the template."""
+    """Check whether the incident wave arrives at another time than in the template."""
     if template.isw_time_s is None:
         return False
     limit_s = max(LATEST_OWN * template.isw_fwhm_s, ARRIVAL_SD * template.isw_time_sd_s)

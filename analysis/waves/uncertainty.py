@@ -38,7 +38,7 @@ sech^2 1.88), itself."""
 def standard_deviations(
     record: ReducedRecord, pulses: Pulses, values: dict[str, float], settings: ExtractionSettings
 ) -> dict[str, float]:
-    """Return the standard deviation of each available feature.
+    """Propagate a record's noise to the standard deviation of each available feature.
 
     Parameters
     ----------
@@ -90,7 +90,7 @@ def standard_deviations(
 
 
 def _quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, float]:
-    """Return the variances of time and height of a pulse's quartic."""
+    """Return the variances of time (s^2) and height (V^2) of a pulse's quartic fit."""
     u, inverse = pulse.top_place, _inverse(pulse.top_points)
     powers = np.array([1.0, u, u * u, u**3, u**4])
     slopes = np.array([0.0, 1.0, 2.0 * u, 3.0 * u * u, 4.0 * u**3])
@@ -101,7 +101,7 @@ def _quartic_variances(pulse: Pulse, s2: float, step_s: float) -> tuple[float, f
 
 @lru_cache(maxsize=1024)
 def _inverse(n: int) -> FloatArray:
-    """Return (X^T X)^-1 of the quartic on n points, shape (5, 5)."""
+    """Return (X^T X)^-1 of the quartic fit on n points, shape (5, 5)."""
     _, solver = quartic_design(n)
     return np.asarray(solver @ solver.T)
 
@@ -109,7 +109,7 @@ def _inverse(n: int) -> FloatArray:
 def _matched_time_variance(
     pulse: Pulse, record: ReducedRecord, settings: ExtractionSettings, s2: float
 ) -> float:
-    """Return the variance of a matched-filter time."""
+    """Return the variance of a matched-filter time in s^2; NaN where the filter has no maximum."""
     if pulse.matched_curvature_v >= 0.0:
         return math.nan
     slope2 = s2 * _kernel_slope_energy(settings.kernel_width_s / record.step_s)

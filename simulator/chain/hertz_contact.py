@@ -24,7 +24,7 @@ class Surface:
 
 
 def contact_stiffness(above: Surface, below: Surface) -> float:
-    """Return the stiffness of a contact of any two bodies, at least one of them round, in N/m^1.5.
+    """Compute Hertz's contact stiffness of two bodies, at least one of them round, in N/m^1.5.
 
     ``A = (4/3) sqrt(R) [(1 - nu_1^2) / E_1 + (1 - nu_2^2) / E_2]^-1`` with ``1 / R = 1 / R_1 + 1 / R_2``
     (Hertz 1882; Johnson, Contact Mechanics, 1985, section 4.2). Equation 2 is its two special cases.
@@ -49,7 +49,7 @@ def contact_stiffness(above: Surface, below: Surface) -> float:
 
 
 def sphere_on_sphere_stiffness(radius_m: float, youngs_modulus_pa: float, poisson_ratio: float) -> float:
-    """Return the contact stiffness of two equal spheres, in N/m^1.5.
+    """Compute Hertz's contact stiffness of two equal spheres, in N/m^1.5.
 
     ``A = E sqrt(2 R) / (3 (1 - nu^2))``: equation 2, first row.
     """
@@ -63,7 +63,7 @@ def sphere_on_flat_stiffness(
     flat_youngs_modulus_pa: float,
     flat_poisson_ratio: float,
 ) -> float:
-    """Return the contact stiffness of a sphere on a flat of another material, in N/m^1.5.
+    """Compute Hertz's contact stiffness of a sphere on a flat of another material, in N/m^1.5.
 
     ``A = (4 sqrt(R) / 3) [(1 - nu_b^2) / E_b + (1 - nu_p^2) / E_p]^-1``: equation 2, second row, with
     the power -1 of the bracket that the print lacks.
@@ -76,5 +76,5 @@ def sphere_on_flat_stiffness(
 
 
 def indentation_m(force_n: float, stiffness: float) -> float:
-    """Return the indentation ``d = (F / A)^(2/3)`` of two bodies under a static force."""
+    """Return the indentation ``d = (F / A)^(2/3)`` of two bodies under a static force; 0 for a pull."""
     return float((max(force_n, 0.0) / stiffness) ** (2.0 / 3.0))

@@ -118,7 +118,7 @@ class Contacts:
 
 
 def tilted_damping(damping_n_s_per_m: float, tilt_rad: float) -> float:
-    """Return the dashpot of a face of the sensor disk that is tilted by `tilt_rad`.
+    """Return the dashpot of a sensor disk's face that is tilted by `tilt_rad`, in N s/m.
 
     ``gamma_face = gamma (1 + k tilt^2)``. A tilted disk slides on its spheres while they press on it,
     and friction takes energy. The form is our assumption: even in the tilt, nothing at zero. The
@@ -129,7 +129,7 @@ def tilted_damping(damping_n_s_per_m: float, tilt_rad: float) -> float:
 
 
 def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
-    """Compute masses, contacts and static equilibrium of a chain on `plate`.
+    """Build the chain on `plate`: masses, contacts and static equilibrium.
 
     The plate's Young's modulus and Poisson's ratio enter the last contact.
     """
@@ -173,7 +173,7 @@ def build_chain(parameters: ChainParameters, plate: PlateParameters) -> Chain:
 def with_other_strike(
     chain: Chain, damping_n_s_per_m: float, drop_height_m: float, tilt_rad: float, contacts: Contacts | None
 ) -> Chain:
-    """Return the same bodies with another drop height of the striker and another tilt of the sensor.
+    """Return the chain with another drop height of the striker and another tilt of the sensor.
 
     On other contacts they are in static equilibrium again: ``d = (F / A)^(2/3)``.
 
@@ -214,12 +214,12 @@ def with_other_strike(
 
 
 def impact_speed_m_per_s(drop_height_m: float) -> float:
-    """Return the speed of the striker at first touch."""
+    """Return the speed of the falling striker at first touch, in m/s."""
     return math.sqrt(2.0 * FREE_FALL_M_PER_S2 * drop_height_m)
 
 
 def _surface(body: Body) -> Surface:
-    """Return the contact surface of a sphere."""
+    """Return the contact surface (radius and elasticity) of a sphere."""
     return Surface(
         radius_m=body.radius_m, youngs_modulus_pa=body.youngs_modulus_pa, poisson_ratio=body.poisson_ratio
     )

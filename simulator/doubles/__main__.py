@@ -23,7 +23,7 @@ from simulator.doubles.transports.server import WireServer
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run until standard input closes."""
+    """Run the doubles until standard input closes; return the exit code."""
     parser = argparse.ArgumentParser(prog="python -m simulator.doubles", description=__doc__)
     parser.add_argument("--description", type=Path, help="JSON file; absent: the four default boards")
     parser.add_argument("--no-warm-up", action="store_true", help="be ready before the physics is")
@@ -55,7 +55,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _grpc_front(brain: Brain) -> GrpcFront | None:
-    """Serve gRPC too; None where grpc is not installed."""
+    """Start the gRPC server; return None with a logged reason if gRPC is not installed."""
     reason = why_unavailable()
     if reason:
         logging.getLogger(__name__).warning("no gRPC front: %s", reason)

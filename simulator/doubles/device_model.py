@@ -76,9 +76,10 @@ TASK_HANDLERS: Mapping[str, TaskHandler] = {
 
 
 def _niscope(description: Description, bench: Bench) -> NiscopeBrain:
-    """Return the NI-SCOPE boards of the described probes, connected to the same specimen."""
+    """Create the NI-SCOPE boards of the described probes, on the same specimen."""
 
     def next_echo(position: str) -> tuple[ShotKey, float]:
+        """Return key and hour of the next pulse-echo record under the lock of the bench."""
         with bench.changed:
             return bench.strikes.next_echo(position)
 
@@ -161,7 +162,7 @@ class Brain:
     # Clients
 
     def open_client(self, kind: ClientKind, label: str) -> str:
-        """Register a new client and return its name; tasks belong to it."""
+        """Register a new client and return its unique name; tasks belong to it."""
         with self.bench.changed:
             self._client_count += 1
             client = f"{kind}:{label}:{self._client_count}"
@@ -169,7 +170,10 @@ class Brain:
             return client
 
     def close_client(self, client: str) -> None:
-        """Remove a client: a library's tasks end with its process, a gRPC server's stay."""
+        """Remove a client.
+
+        The tasks of a library end with its process; those of a gRPC server stay.
+        """
         with self.bench.changed:
             kind = self._clients.pop(client, None)
             if kind is None:
@@ -196,14 +200,14 @@ class Brain:
             self._leaked.append(leak)
 
     def is_open(self, client: str) -> bool:
-        """Return whether a client is still connected."""
+        """Check whether a client is still connected."""
         with self.bench.changed:
             return client in self._clients
 
     # Calls
 
     def call(self, client: str, function: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
-        """Execute one call and record it.
+        """Execute one API call of a client and record it.
 
         Raises
         ------
@@ -236,7 +240,7 @@ class Brain:
     def _obeying_faults(
         self, client: str, entry: EntryPoint, attribute: str, arguments: Arguments
     ) -> dict[str, Any]:
-        """Answer a call, unless an injected fault decides otherwise."""
+        """Answer a call, unless an injected fault makes it hang, fail or answer wrongly."""
         fault = self.faults.due(entry.name, attribute)
         if fault is not None and fault.kind == "death":
             self._die()
@@ -251,7 +255,7 @@ class Brain:
         return self._answer(client, entry, arguments)
 
     def _answer(self, client: str, entry: EntryPoint, arguments: Arguments) -> dict[str, Any]:
-        """Answer a call by its handler."""
+        """Answer a call by the handler of its function."""
         if entry.library == "niScope":
             return dict(self.niscope.call(client, entry.name, arguments))
         with self.bench.changed:
@@ -263,17 +267,17 @@ class Brain:
     # Control
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Set the shot of the next strike at the key's position."""
+        """Set set, shot and hour of the next strike at the key's position."""
         with self.bench.changed:
             self.bench.strikes.announce(key, hour_h)
 
     def disturb(self, position: str, crosstalk: Mapping[str, Any]) -> None:
-        """Set what the coil at a position couples into its sensor."""
+        """Set the crosstalk from the coil at a position into its sensor."""
         with self.bench.changed:
             self.bench.strikes.disturb(position, Crosstalk(**crosstalk))
 
     def unplug(self, serial_number: int) -> None:
-        """Remove a board."""
+        """Remove a board from the chassis by serial number."""
         if self.niscope.has(serial_number):
             self.niscope.unplug(serial_number)
             return
@@ -281,7 +285,7 @@ class Brain:
             device_calls.unplug(self.bench, serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a board in again, under another name if one is given."""
+        """Plug a removed board in again, under another name if one is given."""
         if self.niscope.has(serial_number):
             self.niscope.plug(serial_number, name)
             return
@@ -299,7 +303,7 @@ class Brain:
             self.bench.reservations.occupy(f"{serial_number}/{part}", owner)
 
     def vacate(self, owner: str) -> None:
-        """Release everything of an outside program."""
+        """Release everything that `occupy` has reserved for an outside program."""
         self.niscope.vacate(owner)
         with self.bench.changed:
             for holder in set(self.bench.reservations.held.values()):
@@ -307,12 +311,12 @@ class Brain:
                     self.bench.reservations.release(holder)
 
     def wait_until_no_tasks(self, timeout_s: float) -> bool:
-        """Wait until every task is gone, as after a client's death; False at the deadline."""
+        """Wait until every task is gone, as after a client's end; return False after ``timeout_s``."""
         with self.bench.changed:
             return self.bench.changed.wait_for(lambda: not self.bench.tasks, timeout_s)
 
     def wait_until_quiet(self, timeout_s: float) -> bool:
-        """Wait until no striker is falling and no wave continues; False at the deadline."""
+        """Wait until no striker falls and no wave continues; return False after ``timeout_s``."""
         clock = self.bench.clock
         deadline_ns = clock.now_ns() + round(timeout_s * NS_PER_S)
         with self.bench.changed:
@@ -325,7 +329,7 @@ class Brain:
                 clock.wait(self.bench.changed, min(quiet_ns, deadline_ns))
 
     def record(self) -> dict[str, Any]:
-        """Return everything the double recorded, in JSON types."""
+        """Return everything that the double recorded, in JSON types."""
         sessions = self.niscope.open_sessions()
         with self.bench.changed:
             now_ns = self.bench.settle()
@@ -378,12 +382,12 @@ class Brain:
             }
 
     def _line(self, serial_number: int, counter: int) -> str:
-        """Return the name of a counter's output line."""
+        """Return the name of the line that a counter drives."""
         kind = self.bench.devices.by_serial(serial_number).kind
         return f"{serial_number}/{kind.counter_terminals[counter]}"
 
     def clear_record(self) -> None:
-        """Discard calls, line events and leaks; levels and tasks stay."""
+        """Discard recorded calls, line events and leaks; levels and tasks stay."""
         with self.bench.changed:
             self.bench.settle()
             self._calls.clear()

@@ -92,12 +92,12 @@ class Faults:
             self._orders.append(Fault(function, found, code or 0, nth - 1, times, seconds))
 
     def clear(self) -> None:
-        """Discard every pending fault; hanging calls continue to hang until released."""
+        """Discard every pending fault; calls that hang continue to do so until released."""
         with self._lock:
             self._orders.clear()
 
     def due(self, function: str, attribute: str) -> Fault | None:
-        """Return the fault of this call, and count the call."""
+        """Count a call and return the fault that it gets; None if none is due."""
         with self._lock:
             struck: Fault | None = None
             for order in tuple(self._orders):
@@ -114,7 +114,7 @@ class Faults:
             return struck
 
     def hang(self, seconds: float | None) -> None:
-        """Hold this call until it is released or ``seconds`` are over."""
+        """Block this call until `release`, or for at most ``seconds``."""
         with self._released:
             count = self._release_count
             self._hanging += 1
@@ -130,7 +130,7 @@ class Faults:
             self._released.notify_all()
 
     def wait_until_hanging(self, timeout_s: float) -> bool:
-        """Wait until at least one call hangs; False at the deadline."""
+        """Wait until at least one call hangs; return False after ``timeout_s``."""
         with self._released:
             return self._released.wait_for(lambda: self._hanging > 0, timeout=timeout_s)
 
@@ -138,7 +138,7 @@ class Faults:
 def wrong_answer(
     entry: EntryPoint, arguments: Mapping[str, Any], answer: Callable[[], Mapping[str, Any]]
 ) -> dict[str, Any]:
-    """Return a plausible wrong answer: success without doing it, or slightly changed values.
+    """Return a plausible wrong answer: success without the effect, or slightly changed values.
 
     A read hands out half of its samples, a rate is one per cent off, a flag is turned round, a text is
     empty, a handle belongs to no task.
@@ -161,7 +161,7 @@ def wrong_answer(
 
 
 def _distorted(parameter: Parameter, value: Any) -> Any:
-    """Return a wrong value of a parameter."""
+    """Change a value slightly, by the type of its parameter."""
     if parameter.role is Role.OUT_TEXT:
         return ""
     if parameter.role is Role.OUT_ARRAY:

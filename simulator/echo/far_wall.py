@@ -41,7 +41,7 @@ class RoughSpot:
     weights: FloatArray
 
     def at(self, pristine_m: float, depth_fraction: float) -> FarWall:
-        """Return local thicknesses where the wall has lost this fraction on average under the beam.
+        """Return the far wall after it has lost this fraction on average under the beam.
 
         Facets through which the wall is gone send nothing back: they stay, with thickness 0.
         """
@@ -73,7 +73,7 @@ class FarWall:
 
 
 def smooth_wall(thickness_m: float) -> FarWall:
-    """Return a wall of uniform thickness."""
+    """Create a far wall of uniform thickness."""
     return FarWall(thickness_m=np.array([thickness_m]), weights=np.ones(1))
 
 
@@ -81,7 +81,7 @@ def smooth_wall(thickness_m: float) -> FarWall:
 def rough_spot(
     echo: EchoParameters, *, seed: int, position: str, facets_across: int = FACETS_ACROSS
 ) -> RoughSpot | None:
-    """Draw the far wall under the probe of one position; None if it stays smooth.
+    """Draw the rough far wall under the probe of one position; None if it stays smooth.
 
     The depth of a position with a probe is the mean under its beam: the relative loss is scaled to that.
     The field does not depend on the number of facets, so a finer grid samples the same wall. Kept: it is the
@@ -105,7 +105,9 @@ def rough_spot(
 def gaussian_field(
     x_m: FloatArray, y_m: FloatArray, correlation_length_m: float, random: np.random.Generator
 ) -> FloatArray:
-    """Return a stationary field, mean 0, variance 1, autocorrelation exp(-r^2 / l^2), shape (n_x, n_y).
+    """Draw a stationary Gaussian field of mean 0 and variance 1, shape (n_x, n_y).
+
+    Its autocorrelation is exp(-r^2 / l^2).
 
     A sum of plane waves of equal amplitude whose wave vectors are drawn from the field's spectrum, which
     for this autocorrelation is a normal one of SD sqrt(2) / l in each direction.

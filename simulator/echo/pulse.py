@@ -37,17 +37,17 @@ STEEL_REFLECTION = 0.94
 
 
 def path_m(thickness_m: float, echo: EchoParameters, times: int = 1) -> float:
-    """Return the length of the sound path in the wall, ``times`` up and down."""
+    """Return the length of the sound path in the wall in m, ``times`` up and down."""
     return math.hypot(2.0 * times * thickness_m, echo.element_separation_m)
 
 
 def travel_time_s(thickness_m: float, echo: EchoParameters) -> float:
-    """Return the time from firing to the first back-wall echo's envelope peak for a smooth wall."""
+    """Return the time from firing to the first back-wall echo's envelope peak in a smooth wall, in s."""
     return echo.delay_s + path_m(thickness_m, echo) / echo.velocity_m_per_s
 
 
 def at_temperature(echo: EchoParameters, warmer_k: float) -> EchoParameters:
-    """Return probe and wall warmer by ``warmer_k`` than the temperature of their parameters."""
+    """Return the echo parameters of probe and wall ``warmer_k`` above their reference temperature."""
     return replace(
         echo,
         delay_s=echo.delay_s * (1.0 + echo.delay_per_k * warmer_k),
@@ -56,7 +56,7 @@ def at_temperature(echo: EchoParameters, warmer_k: float) -> EchoParameters:
 
 
 def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
-    """Return the noise-free record, shape (record_samples,); time zero is the firing pulse.
+    """Simulate a noise-free record, shape (record_samples,); time zero is the firing pulse.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def echo_volts(wall: float | FarWall, echo: EchoParameters) -> FloatArray:
 
 
 def _smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
-    """Return back-wall echoes in closed form, for a pulse that keeps its shape."""
+    """Simulate the back-wall echoes of a smooth wall in closed form; the pulse keeps its shape."""
     volts = np.zeros(echo.record_samples)
     end_s = echo.record_samples / echo.sample_rate_hz
     for times in range(1, echo.record_samples):
@@ -96,7 +96,7 @@ def _smooth_wall_volts(thickness_m: float, echo: EchoParameters) -> FloatArray:
 
 
 def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
-    """Return back-wall echoes of all facets.
+    """Simulate the back-wall echoes of all facets of a rough wall.
 
     Their arrivals, weighted, convolved with the pulse by its spectrum.
 
@@ -138,7 +138,7 @@ def _rough_wall_volts(wall: FarWall, echo: EchoParameters) -> FloatArray:
 
 
 def _share(grid: FloatArray, place: FloatArray, height: FloatArray) -> None:
-    """Add heights to a grid, each shared by the two points around its position."""
+    """Add heights to a grid in place, each shared by the two points around its position."""
     index = place.astype(np.intp)
     later = place - index
     first = int(index.min())
@@ -148,12 +148,12 @@ def _share(grid: FloatArray, place: FloatArray, height: FloatArray) -> None:
 
 
 def _loss(way_m: float, echo: EchoParameters) -> float:
-    """Return the remaining amplitude after a path in the wall, at the centre frequency."""
+    """Return the fraction of the amplitude left after a path in the wall, at the centre frequency."""
     return float(10.0 ** (-echo.attenuation_db_per_m * way_m / 20.0))
 
 
 def _attenuation_filter(frequency_hz: FloatArray, way_m: float, echo: EchoParameters) -> FloatArray:
-    """Return the remaining amplitude at each frequency relative to that at the centre frequency."""
+    """Return the amplitude left at each frequency, relative to that at the centre frequency."""
     relative = (frequency_hz / echo.centre_frequency_hz) ** echo.attenuation_exponent - 1.0
     filtered: FloatArray = 10.0 ** (-echo.attenuation_db_per_m * relative * way_m / 20.0)
     return filtered
@@ -171,7 +171,7 @@ def _pulse_spectrum(frequency_hz: FloatArray, echo: EchoParameters) -> FloatArra
 
 
 def _spread_s(echo: EchoParameters) -> float:
-    """Return the SD of the pulse's Gaussian envelope.
+    """Return the SD of the pulse's Gaussian envelope in s.
 
     Its spectrum is one half (-6 dB) at half the bandwidth.
     """
@@ -180,7 +180,7 @@ def _spread_s(echo: EchoParameters) -> float:
 
 
 def _add_pulse(volts: FloatArray, arrival_s: float, amplitude_v: float, echo: EchoParameters) -> None:
-    """Add a tone burst with a Gaussian envelope that peaks at its arrival."""
+    """Add a tone burst with a Gaussian envelope to volts in place, its peak at the arrival."""
     spread_s = _spread_s(echo)
     first = max(0, math.ceil((arrival_s - PULSE_HALF_LENGTH * spread_s) * echo.sample_rate_hz))
     last = min(volts.size, math.floor((arrival_s + PULSE_HALF_LENGTH * spread_s) * echo.sample_rate_hz) + 1)
@@ -192,7 +192,7 @@ def _add_pulse(volts: FloatArray, arrival_s: float, amplitude_v: float, echo: Ec
 def bubble_volts(
     thickness_m: float, echo: EchoParameters, random: np.random.Generator, records: int
 ) -> FloatArray:
-    """Return the echoes of bubbles in the liquid behind the wall, shape (records, record_samples).
+    """Simulate echoes of bubbles in the liquid behind the wall, shape (records, record_samples).
 
     A bubble of radius a, long against the wave, reflects like a sphere, a / 2 in amplitude at the distance
     1; the mean of that spherical wave over a spot of area S is a lambda / (2 S). Going through the far wall
@@ -224,7 +224,7 @@ def bubble_volts(
 
 
 def echo_calibration(echo: EchoParameters) -> Calibration:
-    """Return the linear scaling of the receiver over its range."""
+    """Create the linear scaling of the receiver over its range."""
     half = float(1 << (echo.resolution_bits - 1))
     return Calibration(
         coefficients_v=np.array([0.0, echo.range_v / half]),

@@ -44,13 +44,16 @@ class ProbedWall:
     warmer_k: float
 
     def volts(self, echo: EchoParameters) -> FloatArray:
-        """Return the noise-free record, shape (record_samples,)."""
+        """Simulate the noise-free record of this wall, shape (record_samples,)."""
         return echo_volts(
             self.thickness_m if self.facets is None else self.facets, at_temperature(echo, self.warmer_k)
         )
 
     def truth(self, echo: EchoParameters) -> dict[str, float]:
-        """Return the stored true values of the wall; the travel time is that of a smooth wall."""
+        """Return the wall's true values that are stored with a record, by column.
+
+        The travel time is that of a smooth wall.
+        """
         known = {
             "thickness_m": self.thickness_m,
             "travel_time_s": travel_time_s(self.thickness_m, at_temperature(echo, self.warmer_k)),
@@ -63,7 +66,7 @@ class ProbedWall:
 def probed_wall(
     pristine_m: float, depth_fraction: float, spot: RoughSpot | None, warmer_k: float
 ) -> ProbedWall:
-    """Return the wall under a probe at one depth."""
+    """Build the wall under a probe at one depth; a wall without loss is smooth."""
     return ProbedWall(
         thickness_m=pristine_m * (1.0 - depth_fraction),
         facets=None if spot is None or depth_fraction == 0.0 else spot.at(pristine_m, depth_fraction),
@@ -88,7 +91,7 @@ class Disturbance:
 
 
 def disturbance(echo: EchoParameters, *, seed: int, key: ShotKey) -> tuple[Disturbance, dict[str, float]]:
-    """Draw couplant and bubbles of one acquisition, and return the true values of the active ones."""
+    """Draw couplant and bubbles of one acquisition; return also the true values of the active ones."""
     gain, bubbles, truth = 1.0, False, {}
     if echo.coupling_sd_db > 0.0:
         level_db = echo.coupling_sd_db * generator(seed, Purpose.COUPLING, key=key).standard_normal()
@@ -102,7 +105,7 @@ def disturbance(echo: EchoParameters, *, seed: int, key: ShotKey) -> tuple[Distu
 def disturbed_records(
     wall: ProbedWall, echo: EchoParameters, found: Disturbance, *, seed: int, key: ShotKey, records: int
 ) -> FloatArray:
-    """Return volts of single records before their noise, shape (records, record_samples)."""
+    """Simulate single records in volts before their noise, shape (records, record_samples)."""
     volts = np.tile(wall.volts(echo), (records, 1))
     if found.bubbles:
         random = generator(seed, Purpose.BUBBLES, key=key)
@@ -121,7 +124,7 @@ def averaged_record(
     key: ShotKey,
     noisy: bool,
 ) -> tuple[FloatArray, int]:
-    """Return the mean of the single records in volts, shape (record_samples,), and how many clipped.
+    """Simulate the mean of single records in volts, shape (record_samples,), and count the clipped.
 
     Every record is cut off at the ends of the ADC's range before the mean, as in a receiver: with noise the
     mean then no longer shows it. Where no record can come that far their noise is drawn once, as the mean's.

@@ -28,7 +28,7 @@ BLOCK = 256
 def cubic_samples(
     volts: FloatArray, step_s: float, start_s: float, rate_hz: float, n_samples: int
 ) -> FloatArray:
-    """Interpolate by Lagrange's cubic through the four nearest points at the sample clock.
+    """Interpolate volts at the sample clock by Lagrange's cubic through the four nearest points.
 
     Parameters
     ----------
@@ -75,7 +75,7 @@ def cubic_samples(
 
 @compiled(error_model="numpy")
 def first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
-    """Return the time of the first crossing of the level, or of the maximum if it is never reached."""
+    """Return the time in s of the first crossing of the level; if there is none, of the maximum."""
     highest = 0
     for k in range(volts.shape[0]):
         if volts[k] >= level_v:
@@ -90,7 +90,7 @@ def first_crossing_s(volts: FloatArray, step_s: float, level_v: float) -> Any:
 
 @compiled(error_model="numpy")
 def rising_edge(volts: FloatArray, level_v: float, first: int, n_samples: int) -> int:
-    """Return the first sample from ``first`` on at or above the level after one below it; else -1."""
+    """Find the first sample from ``first`` on that reaches the level after one below it; else -1."""
     for k in range(first, min(first + n_samples, volts.shape[0])):
         if volts[k] >= level_v and not volts[k - 1] >= level_v:
             return k
@@ -139,7 +139,9 @@ def inverted_codes(
     high: int,
     codes: NDArray[Any],
 ) -> None:
-    """Return codes of voltages: inverse of ``offset + slope (c + sum(curved[k] c**(k + 2)))``, clipped.
+    """Convert voltages to clipped ADC codes, written into ``codes``, by iteration.
+
+    This inverts ``offset + slope (c + sum(curved[k] c**(k + 2)))``.
 
     Parameters
     ----------

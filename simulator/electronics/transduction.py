@@ -34,7 +34,7 @@ INVERSE_TOLERANCE_COUNTS = 1e-6
 
 
 def adc_calibration(adc: AdcParameters) -> Calibration:
-    """Return the board's scaling polynomial: ideal codes reach `over_range_fraction` beyond the range."""
+    """Build the board's scaling polynomial; ideal codes reach `over_range_fraction` beyond the range."""
     half = float(1 << (adc.resolution_bits - 1))
     full_scale_v = adc.range_v * (1.0 + adc.over_range_fraction)
     return Calibration(
@@ -52,7 +52,7 @@ def adc_calibration(adc: AdcParameters) -> Calibration:
 
 
 def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
-    """Return the nearest code of each voltage: the rounded inverse of the scaling, clipped to the codes.
+    """Quantise voltages to the nearest code by the inverse scaling, clipped to the codes.
 
     Parameters
     ----------
@@ -81,7 +81,10 @@ def counts_of(volts: FloatArray, calibration: Calibration) -> Counts:
 
 @lru_cache(maxsize=64)
 def _inversion(calibration: Calibration) -> tuple[FloatArray, int]:
-    """Return the polynomial's curvature over its slope, and the number of passes (`inverted_codes`)."""
+    """Prepare `inverted_codes`: return the polynomial's curvature over its slope, and the passes.
+
+    Raise ValueError for a scaling whose slope varies by more than half.
+    """
     # The polynomial is a line with a slight bend: take the bend at the last answer off the line's,
     # again and again. Each step shrinks the error by `bend`, the largest relative change of slope.
     low, _ = calibration.full_scale_counts
@@ -128,7 +131,7 @@ def triggered_record(
     interference: Interference | None = None,
     stray: Callable[[float, float, int], FloatArray] | None = None,
 ) -> TriggeredRecord | None:
-    """Sample, trigger and quantise one shot.
+    """Sample, trigger and quantise one shot; return None if nothing triggers the record.
 
     Parameters
     ----------
@@ -197,7 +200,7 @@ def triggered_record(
 def add_noise_volts(
     volts: FloatArray, sample_rate_hz: float, noise: NoiseParameters, random: np.random.Generator
 ) -> None:
-    """Add white and slow noise to volts, shape (n_samples,)."""
+    """Add white and slow noise to volts, shape (n_samples,), in place."""
     # The grain of float32, 1e-7 of the noise, is far below a code.
     white = standard_normals(random, volts.size)
     if noise.slow_rms_v == 0.0:
@@ -214,7 +217,7 @@ def add_noise_volts(
 
 @lru_cache(maxsize=64)
 def _slow_grid(n_samples: int, shortest_period: float) -> tuple[int, int, int]:
-    """Return samples per step of the slow noise's grid, its length, and lines of its spectrum.
+    """Choose the slow noise's grid: samples per step, length in steps, lines of its spectrum.
 
     The spectrum is even up to the shortest period, given in samples; the grid is ten times finer than that,
     or as fine as the samples, and brought from there to the samples by a cubic (within 0.4 % at the shortest
@@ -228,7 +231,10 @@ def _slow_grid(n_samples: int, shortest_period: float) -> tuple[int, int, int]:
 
 @lru_cache(maxsize=64)
 def _cubic_weights(per_step: int) -> FloatArray:
-    """Return weights of Lagrange's cubic at -1, 0, 1 and 2 for samples from 0 to 1; shape (4, per_step)."""
+    """Return weights of Lagrange's cubic through -1, 0, 1, 2 for samples between 0 and 1.
+
+    The shape is (4, per_step).
+    """
     x = np.arange(per_step) / per_step
     return np.array(
         [

@@ -81,11 +81,11 @@ class WallHistory:
     pits: NDArray[np.float64]
 
     def at(self, hour_h: float) -> Wall:
-        """Return the state at an hour of the test."""
+        """Return the state of the wall at an hour of the test."""
         return _wall(self, hour_h)
 
     def mean_at(self, hour_h: float) -> float:
-        """Return the mean depth at an hour of the test."""
+        """Return the mean depth at an hour of the test, as a fraction of the thickness."""
         onset_h, reference_h = self.thinning.onset_h, self.thinning.reference_h
         if self.thinning.history:
             hours, depths = zip(*self.thinning.history, strict=True)
@@ -94,7 +94,7 @@ class WallHistory:
         return min(self.thinning.depth_fraction * self._progress(u), DEEPEST_PATCH_FRACTION)
 
     def _progress(self, u: float) -> float:
-        """Return the integral of the relative rate.
+        """Integrate the uneven rate of thinning, relative to its mean, up to ``u``.
 
         1 at u = 1 for any phases, since each term is periodic.
         """
@@ -105,7 +105,7 @@ class WallHistory:
 
 @lru_cache(maxsize=256)
 def _wall(history: WallHistory, hour_h: float) -> Wall:
-    """Return the state of a wall, cached: all shots of a set need it."""
+    """Return the state of a wall at an hour, cached, because all shots of a set need it."""
     mean = history.mean_at(hour_h)
     pit, onset_h = mean, history.thinning.onset_h
     is_pitted = history.pits.size > 0
@@ -122,7 +122,7 @@ def _wall(history: WallHistory, hour_h: float) -> Wall:
 
 
 def wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> WallHistory:
-    """Draw the unevenness of one position's rate."""
+    """Draw the uneven corrosion rate of one position, and its pits if it has any."""
     random = generator(seed, Purpose.THINNING, position=position)
     shares = random.dirichlet(np.ones(HARMONICS))
     flat = WallHistory(
@@ -135,7 +135,7 @@ def wall_history(thinning: ThinningParameters, *, seed: int, position: str) -> W
 
 
 def _pits(flat: WallHistory, seed: int, position: str) -> FloatArray:
-    """Draw a Weibull spectrum of depths relative to the deepest, which is in the middle.
+    """Draw a Weibull spectrum of pit depths relative to the deepest, which is in the middle.
 
     Where the hour of the hole is given the spectrum is stretched, as a power, until its mean is that of the
     law over `DEEPEST_PATCH_FRACTION` at that hour, so that the deepest pit goes through then.
@@ -160,7 +160,7 @@ def _pits(flat: WallHistory, seed: int, position: str) -> FloatArray:
 
 
 def patch_of(twin: TwinParameters, position: str, corrosion: CorrosionParameters) -> CorrosionParameters:
-    """Return the patch for the model of a position's plate: a mosaic where it has pits.
+    """Return the patch of a position for its plate model: a mosaic if it has pits.
 
     Raises
     ------
@@ -172,7 +172,7 @@ def patch_of(twin: TwinParameters, position: str, corrosion: CorrosionParameters
 
 
 def pitted(corrosion: CorrosionParameters, history: WallHistory) -> CorrosionParameters:
-    """Divide a patch into pits; `corrosion` itself where there are none.
+    """Divide a patch into pits; return `corrosion` itself if there are none.
 
     Raises
     ------

@@ -86,7 +86,7 @@ class ShotNuisance:
         return [ring for ring in (self.knock, self.burst) if ring is not None]
 
     def truth(self) -> dict[str, float]:
-        """Return the columns stored with the record.
+        """Return the true values of the variability that are stored with the record, by column.
 
         ``temperature_c`` and those of the strike hold the rest.
         """
@@ -112,7 +112,7 @@ class ShotNuisance:
 
 @lru_cache(maxsize=16)
 def _columns(bodies: int) -> tuple[str, ...]:
-    """Return the names of the true values, in their order."""
+    """Return the names of the variability's true values for a chain, in their order."""
     alone = (
         *("reseats", "rogue", "wear_radius_factor", "drop_factor", "gain_factor", "noise_factor", "tilt_rad"),
         *("plate_warmer_k", "plate_modulus_factor", "liquid_factor", "knock_v", "burst_v"),
@@ -195,7 +195,7 @@ class TransducerNuisance:
     climate: Climate
 
     def at(self, key: ShotKey, hour_h: float, warmer_k: float) -> ShotNuisance:
-        """Draw the deviations of a strike.
+        """Draw the environmental deviations of one strike at an hour of the test.
 
         Parameters
         ----------
@@ -235,7 +235,7 @@ class TransducerNuisance:
 def _ring(
     height_v: float, range_hz: tuple[float, float], decay_s: tuple[float, float], even: FloatArray
 ) -> Ringing:
-    """Draw a ringing whose frequency and decay are uniform in their logarithm."""
+    """Create a ringing from uniform numbers, log-uniform in frequency and decay."""
     return Ringing(
         start_s=RINGS_FROM_S + (RINGS_TO_S - RINGS_FROM_S) * float(even[0]),
         height_v=float(height_v),
@@ -247,7 +247,7 @@ def _ring(
 def disturbed_strike(
     strike: Strike, found: ShotNuisance, chain: ChainParameters, sensor: SensorParameters
 ) -> Strike:
-    """Change height, tilt with its loss of gain, and gain."""
+    """Apply the variability to a strike: drop height, tilt with its loss of gain, and gain."""
     # A disk tilted past upright leans to the other side, which for the wave is the same tilt.
     tilt_rad = min(abs(strike.tilt_rad + found.tilt_rad), STEEPEST_TILT_RAD)
     tilt_loss = math.exp(-sensor.tilt_loss_per_rad * (tilt_rad - strike.tilt_rad))
@@ -261,7 +261,7 @@ def disturbed_strike(
 
 @lru_cache(maxsize=16)
 def disturbed_noise(noise: NoiseParameters, factor: float) -> NoiseParameters:
-    """Return the noise of an hour; disabled noise stays disabled."""
+    """Scale the noise by the factor of an hour; disabled noise stays disabled."""
     if factor == 1.0:
         return noise
     return replace(noise, rms_v=noise.rms_v * factor, slow_rms_v=noise.slow_rms_v * factor)

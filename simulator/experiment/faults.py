@@ -62,7 +62,7 @@ SOUND = FaultParameters()
 
 
 def faults_of_shot(faults: FaultParameters, *, seed: int, key: ShotKey, hour_h: float) -> ShotFaults:
-    """Draw the faults of a strike and of its chain at an hour of the experiment.
+    """Draw the faults of a strike, of its chain and of its sensor at an hour of the test.
 
     Hum and spikes are drawn by `interference_of_shot`, since they need the record's length.
     """
@@ -128,7 +128,7 @@ def _grown_fraction(onset_h: float, ramp_h: float, hour_h: float) -> float:
 
 
 def _second_strike(faults: FaultParameters, seed: int, key: ShotKey) -> tuple[float | None, float]:
-    """Draw delay and height of the striker's second impact; None without one."""
+    """Draw delay in s and relative height of the striker's second impact; ``(None, 1.0)`` without one."""
     random = generator(seed, Purpose.DOUBLE_STRIKE, key=key)
     if random.random() >= faults.double.probability:
         return None, 1.0
@@ -137,7 +137,7 @@ def _second_strike(faults: FaultParameters, seed: int, key: ShotKey) -> tuple[fl
 
 
 def faulty_strike(strike: Strike, faults: ShotFaults, sensor: SensorParameters) -> Strike:
-    """Tilt the disk further, with the loss of gain from the tilt, and change the gain."""
+    """Apply faults to a strike: tilt with its loss of gain, and gain."""
     tilt_rad = min(strike.tilt_rad + faults.tilt_rad, STEEPEST_TILT_RAD)
     tilt_loss = math.exp(-sensor.tilt_loss_per_rad * (tilt_rad - strike.tilt_rad))
     return replace(
@@ -148,7 +148,10 @@ def faulty_strike(strike: Strike, faults: ShotFaults, sensor: SensorParameters) 
 
 
 def faulty_chain(chain: ChainParameters, faults: ShotFaults) -> ChainParameters:
-    """Return the chain with worn contacts and another dashpot to the plate; masses and geometry stay."""
+    """Apply faults to a chain: worn contacts, and another dashpot to the plate.
+
+    Masses and geometry stay.
+    """
     return replace(
         chain.with_worn_contacts(faults.radius_factor),
         contact_damping_n_s_per_m=chain.contact_damping_n_s_per_m * faults.contact_damping_factor,
@@ -189,7 +192,7 @@ def interference_of_shot(
 
 
 def _hum_phase_rad(hum: MainsHumFault, seed: int, key: ShotKey) -> float:
-    """Draw the phase of the mains hum at a strike."""
+    """Draw the phase of the mains hum at a strike in rad; 0 without hum."""
     if hum.amplitude_v == 0.0:
         return 0.0
     return float(generator(seed, Purpose.MAINS_HUM, key=key).uniform(0.0, 2.0 * math.pi))
@@ -198,7 +201,10 @@ def _hum_phase_rad(hum: MainsHumFault, seed: int, key: ShotKey) -> float:
 def _spikes(
     spikes: SpikesFault, seed: int, key: ShotKey, hour_h: float, adc: AdcParameters
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw times and heights of a Poisson process from arming to the record's end."""
+    """Draw times in s and heights in V of random spikes from arming to the record's end.
+
+    They are a Poisson process; both arrays are empty before its onset.
+    """
     if spikes.rate_hz == 0.0 or hour_h < spikes.onset_h:
         return np.empty(0), np.empty(0)
     random = generator(seed, Purpose.SPIKES, key=key)

@@ -27,18 +27,18 @@ RESEAT_BLOCK_H = 1_000.0
 
 
 def _read_only(drawn: FloatArray) -> FloatArray:
-    """Make an array read-only."""
+    """Make an array read-only in place and return it."""
     drawn.flags.writeable = False
     return drawn
 
 
 def unit_t(random: np.random.Generator, dof: float, size: int | tuple[int, ...]) -> FloatArray:
-    """Draw Student's t scaled to variance 1."""
+    """Draw numbers of Student's t distribution, scaled to variance 1."""
     return np.asarray(random.standard_t(dof, size) * np.sqrt((dof - 2.0) / dof))
 
 
 def memory_weights(memory: FloatArray) -> FloatArray:
-    """Return weights of the last `LAGS` innovations in AR(1) processes of variance 1, shape (LAGS, n).
+    """Compute the weights of the last `LAGS` innovations in AR(1) processes, shape (LAGS, n).
 
     Parameters
     ----------
@@ -51,7 +51,7 @@ def memory_weights(memory: FloatArray) -> FloatArray:
 def autocorrelated_values(
     weights: FloatArray, dof: float, *, seed: int, position: str, set_key: SetKey
 ) -> FloatArray:
-    """Return stationary processes of variance 1 at a set, shape (n,).
+    """Compute stationary autocorrelated processes of variance 1 at a set, shape (n,).
 
     Parameters
     ----------
@@ -76,7 +76,10 @@ def autocorrelated_values(
 
 @lru_cache(maxsize=256)
 def _innovations(seed: int, position: str, block: int, size: int, dof: float) -> FloatArray:
-    """Return the innovations of `LAGS` sets, those before the test in block 0."""
+    """Draw the innovations of a block of `LAGS` sets, shape (LAGS, size).
+
+    Block 0 holds those before the test.
+    """
     key = ShotKey(position=position, set_index=block, shot_index=0)
     return _read_only(unit_t(generator(seed, Purpose.SEATING_MEMORY, key=key), dof, (LAGS, size)))
 
@@ -96,7 +99,7 @@ def draw_slow_drift(
 
 
 def slow_drift(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArray:
-    """Return the value of `draw_slow_drift`, of variance 1, at an hour, shape (size,).
+    """Evaluate the slow drifts of `draw_slow_drift`, of variance 1, at an hour, shape (size,).
 
     n equal sinusoids of amplitude a with random phases have the variance n a^2 / 2.
     """
@@ -108,7 +111,7 @@ def slow_drift(hour_h: float, drawn: tuple[FloatArray, FloatArray]) -> FloatArra
 def values_after_reseats(
     hour_h: float, rate_per_h: float, *, seed: int, position: str, size: int
 ) -> tuple[int, FloatArray]:
-    """Return the number of re-seats so far, and each source's value after the last one.
+    """Count the re-seats up to an hour; return also each source's value after the last one.
 
     The re-seats are a Poisson process. The places are normal with SD 1, independent of the ones before, so
     that a step is as often up as down; before the first re-seat they are 0.
@@ -126,7 +129,7 @@ def values_after_reseats(
 def _reseats(
     seed: int, position: str, block: int, rate_per_h: float, size: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Draw hours of a block's re-seats, rising, and the values after each, shape (count, size)."""
+    """Draw the re-seats of a block: hours, rising, and values after each, shape (count, size)."""
     key = ShotKey(position=position, set_index=block, shot_index=0)
     random = generator(seed, Purpose.RESEATS, key=key)
     count = int(random.poisson(rate_per_h * RESEAT_BLOCK_H))
@@ -136,6 +139,6 @@ def _reseats(
 
 @lru_cache(maxsize=256)
 def is_noisy_hour(seed: int, hour: int, probability: float) -> bool:
-    """Return whether an hour of the test is noisy, the same for all positions."""
+    """Draw whether an hour of the test is noisy, the same for all positions."""
     key = ShotKey(position="", set_index=hour, shot_index=0)
     return bool(generator(seed, Purpose.NOISY_HOURS, key=key).random() < probability)

@@ -37,7 +37,7 @@ class Temperature:
 
 @lru_cache(maxsize=256)
 def _temperature_c(room: Temperature, hour_h: float) -> float:
-    """Return the temperature of a drifting room, cached: all shots of an hour need it."""
+    """Compute the temperature of a drifting room, cached, because all shots of an hour need it."""
     drift = room.drift
     day = drift.diurnal_amplitude_k * np.cos(2.0 * np.pi * (hour_h - drift.warmest_hour_h) / 24.0)
     wander_k = drift.wander_sd_k * slow_drift(hour_h, room.drawn)[0]
@@ -45,7 +45,7 @@ def _temperature_c(room: Temperature, hour_h: float) -> float:
 
 
 def temperature(drift: DriftParameters, *, seed: int) -> Temperature:
-    """Draw the slow drift of the room, the same for all positions."""
+    """Draw the slow temperature drift of the room, the same for all positions."""
     drawn = draw_slow_drift(Purpose.TEMPERATURE, seed, "", 1, drift.shortest_wander_h, drift.longest_wander_h)
     return Temperature(drift=drift, drawn=drawn)
 
@@ -69,7 +69,7 @@ def scattered_strike(
     sensor: SensorParameters,
     temperature_c: float,
 ) -> Strike:
-    """Draw drop height, tilt and sensitivity of one shot.
+    """Draw drop height, tilt and sensitivity of one shot with its random scatter.
 
     The logarithm of the drop height is normal: it stays positive, and time of flight and amplitude,
     powers of it, scatter evenly to both sides. The tilt is uniform: the disk lies somewhere in the play
@@ -113,6 +113,6 @@ def _set_draws(seed: int, set_key: ShotKey) -> tuple[float, float]:
 
 
 def _unit_draws(random: np.random.Generator) -> tuple[float, float]:
-    """Draw one normal and one uniform number of mean 0 and variance 1: for drop height and tilt."""
+    """Draw a normal and a uniform number, of mean 0 and variance 1, for drop height and tilt."""
     half_width = np.sqrt(3.0)
     return float(random.standard_normal()), float(random.uniform(-half_width, half_width))

@@ -41,17 +41,17 @@ class Climate:
     refilled: float
 
     def room_k(self, hour_h: float) -> float:
-        """Return the temperature change by day and season."""
+        """Return the change of the room's temperature by day and season at an hour, in K."""
         day = math.cos(2.0 * math.pi * (hour_h - self.warmest_hour_h) / 24.0)
         season = math.cos(2.0 * math.pi * hour_h / HOURS_PER_YEAR - self.season_rad)
         return self.parameters.day_amplitude_k * day + self.parameters.season_amplitude_k * season
 
     def process_k(self, hour_h: float) -> float:
-        """Return the temperature of the plate relative to the room."""
+        """Return the temperature of the plate relative to the room at an hour, in K."""
         return self.parameters.process_sd_k * float(slow_drift(hour_h, self.process)[0])
 
     def liquid_factor(self, hour_h: float) -> float:
-        """Return the liquid's depth relative to the full one.
+        """Return the liquid's depth at an hour relative to the full one.
 
         It falls step by step and is refilled at once.
         """
@@ -60,13 +60,13 @@ class Climate:
 
 
 def liquid_factors(parameters: NuisanceParameters) -> tuple[float, ...]:
-    """Return all depths of the liquid relative to the full one."""
+    """List all depths that the liquid can have, relative to the full one."""
     steps = [level / (LIQUID_LEVELS - 1) for level in range(LIQUID_LEVELS)]
     return tuple(1.0 - parameters.liquid_loss_fraction * step for step in steps)
 
 
 def climate(level: str, *, seed: int, warmest_hour_h: float) -> Climate:
-    """Draw season, process and the times of refills."""
+    """Draw season, process temperature and refill times of a test."""
     parameters = NUISANCE[level]
     return Climate(
         parameters=parameters,
@@ -107,7 +107,7 @@ class _Sources:
 
 @lru_cache(maxsize=64)
 def _sources(level: str, chain: ChainParameters) -> _Sources:
-    """Return the effects of each source of variation on the parameters of a chain."""
+    """Compute the effects of each source of variation on the parameters of a chain, cached."""
     n = chain.bodies
     of_stiffness, of_damping, last = np.eye(n), np.zeros((n, n)), np.eye(2 * n + 3)[:, 2 * n :]
     curvature = _curvature(chain)
@@ -126,6 +126,7 @@ def _sources(level: str, chain: ChainParameters) -> _Sources:
     sizes = [getattr(NUISANCE[level], name) for name, part in effects.items() for _ in range(part.shape[1])]
 
     def column(name: str) -> FloatArray:
+        """Return one field of all sources' sizes as an array."""
         return np.array([getattr(size, name) for size in sizes])
 
     return _Sources(
@@ -140,7 +141,7 @@ def _sources(level: str, chain: ChainParameters) -> _Sources:
 
 
 def _curvature(chain: ChainParameters) -> FloatArray:
-    """Return ``d ln A / d ln R_j = (1/2) (1/R_j) / (1/R_i + 1/R_j)``.
+    """Compute how each radius of curvature changes the contact stiffness A, in logarithms.
 
     A goes with the root of the joint radius.
     """
@@ -186,7 +187,7 @@ def seat_of_set(
     hour_h: float,
     warmer_k: float,
 ) -> Seat:
-    """Return the state that all shots of a set share: place of each source, wear, temperatures and liquid.
+    """Draw the state of a transducer that all shots of a set share: seat, wear, temperatures, liquid.
 
     Parameters
     ----------

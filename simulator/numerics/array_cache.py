@@ -75,7 +75,7 @@ def cached_arrays(
 
 
 def content_key(described: Mapping[str, object]) -> str:
-    """Return a hash of the description, of all the code of the twin and of the libraries below it.
+    """Hash a description together with the simulator's code and the numerical libraries.
 
     Parameters
     ----------
@@ -88,7 +88,7 @@ def content_key(described: Mapping[str, object]) -> str:
 
 @cache
 def _environment() -> dict[str, object]:
-    """Return what else determines the digits; linear algebra has other kernels on another processor."""
+    """Describe the code, libraries and BLAS kernels that determine the last digits of results."""
     libraries = {name: version(name) for name in ("numpy", "scipy", "numba")}
     return {"code": source_digest(), "libraries": libraries, "blas": blas_libraries()}
 
@@ -145,12 +145,12 @@ def write_arrays(
 
 
 def _as_float64(arrays: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """Return arrays as C-contiguous doubles."""
+    """Convert arrays to C-contiguous float64."""
     return {name: np.asarray(values, dtype=np.float64, order="C") for name, values in arrays.items()}
 
 
 def _encoded(arrays: Mapping[str, FloatArray]) -> bytes:
-    """Encode arrays with a header of names and shapes."""
+    """Encode arrays as bytes, after a header of names and shapes."""
     header = json.dumps([[name, values.shape] for name, values in arrays.items()]).encode()
     before = len(MAGIC) + DIGEST_BYTES + 4
     header += b" " * (-(before + len(header)) % ALIGNMENT)
@@ -159,7 +159,7 @@ def _encoded(arrays: Mapping[str, FloatArray]) -> bytes:
 
 
 def _sweep_unfinished(folder: Path) -> None:
-    """Remove files of killed writers. On Windows a file that is still open stays."""
+    """Remove stale unfinished files of killed writers; on Windows a file still open stays."""
     now = time.time()
     for entry in _entries(folder):
         if entry.name.endswith(UNFINISHED_SUFFIX):
@@ -169,7 +169,7 @@ def _sweep_unfinished(folder: Path) -> None:
 
 
 def _keep_within(folder: Path, limit_bytes: int) -> None:
-    """Remove the oldest files of a folder that exceeds the limit."""
+    """Remove the oldest cache files until the folder is within the limit in bytes."""
     files = [(entry, _status(entry)) for entry in _entries(folder) if entry.name.endswith(SUFFIX)]
     oldest = sorted(((s.st_mtime_ns, s.st_size, e.path) for e, s in files if s is not None), reverse=True)
     total = sum(size for _, size, _ in oldest)
@@ -180,7 +180,7 @@ def _keep_within(folder: Path, limit_bytes: int) -> None:
 
 
 def _entries(folder: Path) -> list[os.DirEntry[str]]:
-    """Return the files of a cache folder; none if it cannot be read."""
+    """List the files of a cache folder; return an empty list if it cannot be read."""
     try:
         with os.scandir(folder) as found:
             return list(found)
@@ -190,7 +190,7 @@ def _entries(folder: Path) -> list[os.DirEntry[str]]:
 
 
 def _status(entry: os.DirEntry[str]) -> os.stat_result | None:
-    """Return the status of a file; None if another process removed it."""
+    """Return the status of a file; None if it cannot be read, such as after another process removed it."""
     try:
         return entry.stat()
     except OSError as error:  # renamed or removed by another process
@@ -199,7 +199,7 @@ def _status(entry: os.DirEntry[str]) -> os.stat_result | None:
 
 
 def _discard(path: Path) -> None:
-    """Remove a file; log a failure."""
+    """Remove a file; log a failure instead of raising an error."""
     try:
         path.unlink(missing_ok=True)
     except OSError as error:

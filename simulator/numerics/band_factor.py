@@ -17,7 +17,7 @@ from simulator.numerics.arrays import FloatArray, IntArray
 
 
 def band_factor(band: FloatArray) -> FloatArray:
-    """Return the Cholesky factor of a positive definite matrix in LAPACK's lower band storage, in place.
+    """Compute the Cholesky factor of a positive definite band matrix in place (LAPACK's lower storage).
 
     Raises
     ------
@@ -31,13 +31,13 @@ def band_factor(band: FloatArray) -> FloatArray:
 
 
 def band_solve(factor: FloatArray, right: FloatArray) -> FloatArray:
-    """Solve with a factor by `band_factor`; `right` has the shape (n,)."""
+    """Solve a linear system with a factor of `band_factor`; `right` has the shape (n,)."""
     solution, _ = lapack.dpbtrs(factor, right, lower=1)
     return np.asarray(solution)
 
 
 def lower_band(matrix: sparse.spmatrix) -> FloatArray:
-    """Return LAPACK's lower band storage of a symmetric matrix: ``band[i - j, j] = matrix[i, j]``."""
+    """Convert a symmetric matrix to LAPACK's lower band storage, ``band[i - j, j] = matrix[i, j]``."""
     entries = _LowerEntries.of(matrix, np.arange(matrix.shape[0]))
     band = np.zeros((int(entries.below.max()) + 1, matrix.shape[0]), order="F")
     band[entries.below, entries.column] = entries.value
@@ -54,14 +54,14 @@ class _LowerEntries:
 
     @classmethod
     def of(cls, matrix: sparse.spmatrix, place: IntArray) -> _LowerEntries:
-        """Return the entries of the lower triangle in the new order."""
+        """Create the entries of a matrix's lower triangle in the new order of unknowns."""
         entries = matrix.tocoo()
         row, column = place[entries.row], place[entries.col]
         lower = row >= column
         return cls(below=(row - column)[lower], column=column[lower], value=entries.data[lower])
 
     def within(self, start: int, stop: int) -> _LowerEntries:
-        """Return rows and columns from `start` to `stop`, numbered from zero."""
+        """Return the entries in rows and columns from `start` to `stop`, numbered from zero."""
         inside = (self.column >= start) & (self.column + self.below < stop)
         return _LowerEntries(
             below=self.below[inside], column=self.column[inside] - start, value=self.value[inside]
@@ -100,7 +100,7 @@ class FactorFamily:
         self._taken = before - np.tril(corner @ corner.T)
 
     def factor(self, s: float) -> FloatArray:
-        """Return the factor of A(s) in the order of elimination; the next call overwrites it.
+        """Compute the Cholesky factor of A(s); the next call overwrites it.
 
         Raises
         ------
@@ -114,11 +114,14 @@ class FactorFamily:
         return self._factor
 
     def solve(self, factor: FloatArray, right: FloatArray) -> FloatArray:
-        """Solve with a factor by `factor`; `right` and the result have the matrices' own order."""
+        """Solve a linear system with a factor of `factor`.
+
+        `right` and the result have the matrices' own order.
+        """
         return np.asarray(band_solve(factor, right[self._order])[self._place])
 
     def _band(self, entries: list[_LowerEntries], s: float, size: int) -> FloatArray:
-        """Return the banded matrix at a parameter."""
+        """Assemble the band matrix at parameter s from the entries of each power of s."""
         band = np.zeros((self._bandwidth + 1, size), order="F")
         for power, one in enumerate(entries):
             band[one.below, one.column] += s**power * one.value
@@ -126,7 +129,7 @@ class FactorFamily:
 
 
 def _lower_corner(band: FloatArray) -> FloatArray:
-    """Return the lower triangle of the last columns of a matrix in band storage, as a square matrix."""
+    """Return the lower triangle of a band matrix's last columns as a square matrix."""
     size = band.shape[1]
     corner = np.zeros((size, size))
     for column in range(size):

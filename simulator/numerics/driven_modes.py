@@ -31,7 +31,7 @@ SWEEPS = 60
 def driven_modes(
     stiffness: FloatArray, mass: FloatArray, load: float, steps: int
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Return the modes of a system driven at its last unknown.
+    """Compute the modes of a linear system that is driven at its last unknown.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ def driven_modes(
 
 @compiled(nogil=True)
 def _tridiagonal_ql(d: FloatArray, e: FloatArray, z: FloatArray) -> bool:
-    """Return eigenvalues of a symmetric tridiagonal matrix, and a row of its eigenvectors.
+    """Compute eigenvalues of a symmetric tridiagonal matrix in place, and one row of eigenvectors.
 
     Implicit QL with Wilkinson's shift (Bowdler, Martin, Reinsch and Wilkinson 1968,
     doi:10.1007/BF02166692). It is exact for small eigenvalues where they stand first.

@@ -45,7 +45,7 @@ class Purpose(IntEnum):
 def generator(
     seed: int, purpose: Purpose, *, position: str = "", key: ShotKey | None = None
 ) -> np.random.Generator:
-    """Return an independent generator of one purpose, position and shot.
+    """Create an independent random generator for one purpose, position and shot.
 
     Parameters
     ----------
@@ -73,6 +73,6 @@ def generator(
 
 @lru_cache(maxsize=256)
 def _name_words(name: str) -> tuple[int, int]:
-    """Return two 32-bit words that stand for a name in a seed."""
+    """Hash a name to two 32-bit words of a seed."""
     digest = hashlib.blake2b(name.encode(), digest_size=8).digest()
     return int.from_bytes(digest[:4], "little"), int.from_bytes(digest[4:], "little")

@@ -26,7 +26,7 @@ def lanczos(
     load: FloatArray,
     vectors: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the Krylov space of the operator `solve` after `mass`, in which it is symmetric.
+    """Build the Krylov space of the operator `solve` after `mass`, in which it is symmetric.
 
     A vector is made orthogonal to the two before it; rounding brings the others back slowly, and only
     every few steps two of them are made orthogonal to all (periodic reorthogonalisation).

@@ -49,28 +49,29 @@ register_model(Lanes)(_LanesModel)
 
 
 def _vector(lanes: Lanes) -> ir.VectorType:
-    """Return the LLVM type of a vector of lanes."""
+    """Return the LLVM type of a vector of double lanes."""
     return ir.VectorType(ir.DoubleType(), lanes.width)
 
 
 def _intrinsic(function: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a function an intrinsic of Numba."""
+    """Turn a function into a Numba intrinsic that prefers literal arguments."""
     intrinsic: Callable[..., Any] = numba_intrinsic(prefer_literal=True)(function)
     return intrinsic
 
 
 def _pointer(context: Any, builder: Any, array_type: Any, array: Any, start: Any, lanes: Lanes) -> Any:
-    """Return the address of some lanes in an array."""
+    """Emit the address of the lanes that begin at ``start`` in an array."""
     data = context.make_array(array_type)(context, builder, array).data
     return builder.bitcast(cgutils.gep_inbounds(builder, data, start), _vector(lanes).as_pointer())
 
 
 @_intrinsic
 def load(typing: Any, array: Any, start: Any, width: Any) -> Any:
-    """Load `width` numbers of a contiguous array from `start` on."""
+    """Load a vector of `width` numbers from a contiguous array, from index `start` on."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        """Emit the load of the lanes."""
         pointer = _pointer(context, builder, array, values[0], values[1], lanes)
         return builder.load(pointer, align=8)
 
@@ -79,9 +80,10 @@ def load(typing: Any, array: Any, start: Any, width: Any) -> Any:
 
 @_intrinsic
 def store(typing: Any, array: Any, start: Any, lanes: Any) -> Any:
-    """Write all lanes into a contiguous array from `start` on."""
+    """Store all lanes of a vector in a contiguous array, from index `start` on."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        """Emit the store of the lanes."""
         builder.store(values[2], _pointer(context, builder, array, values[0], values[1], lanes), align=8)
         return context.get_dummy_value()
 
@@ -90,38 +92,41 @@ def store(typing: Any, array: Any, start: Any, lanes: Any) -> Any:
 
 @_intrinsic
 def broadcast(typing: Any, number: Any, width: Any) -> Any:
-    """Copy a number into every lane."""
+    """Copy a number into every lane of a vector of `width` lanes."""
     lanes = Lanes(width.literal_value)
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        """Emit the copies of the number."""
         return _splat(builder, values[0], lanes)
 
     return lanes(types.float64, width), codegen
 
 
 def _splat(builder: Any, number: Any, lanes: Lanes) -> Any:
-    """Return a vector with the number in each lane."""
+    """Emit a vector with the number in each lane."""
     vector = builder.insert_element(ir.Constant(_vector(lanes), ir.Undefined), number, ir.IntType(32)(0))
     mask = ir.Constant(ir.VectorType(ir.IntType(32), lanes.width), [0] * lanes.width)
     return builder.shuffle_vector(vector, ir.Constant(_vector(lanes), ir.Undefined), mask)
 
 
 def _one_width(given: Sequence[Any]) -> Lanes | None:
-    """Return the type of the vectors among the arguments; None where there is none or they do not match."""
+    """Return the common vector type of the arguments; None if there is none or they differ."""
     lanes = [one for one in given if isinstance(one, Lanes)]
     return lanes[0] if lanes and all(one == lanes[0] for one in lanes) else None
 
 
 def _lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[..., Any]:
-    """Return an intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
+    """Create an intrinsic of vectors and numbers, at least one a vector; numbers are broadcast."""
 
     def typed(*given: Any) -> Any:
+        """Return signature and code generator for the given types; None if they do not match."""
         lanes = _one_width(given)
         if lanes is None:
             return None
         arguments = [one if isinstance(one, Lanes) else types.float64 for one in given]
 
         def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+            """Broadcast numbers to vectors and emit the operation."""
             wide = [
                 value if isinstance(one, Lanes) else _splat(builder, value, lanes)
                 for one, value in zip(arguments, values, strict=True)
@@ -141,9 +146,10 @@ def _lane_intrinsic(operands: int, emit: Callable[[Any, Any], Any]) -> Callable[
 
 
 def _call_of(name: str) -> Callable[[Any, Any], Any]:
-    """Return a function that emits the call of a vector function."""
+    """Create a function that emits the call of an LLVM vector function."""
 
     def emit(builder: Any, values: Any) -> Any:
+        """Declare the vector function for these operands and emit its call."""
         kind = values[0].type
         function_type = ir.FunctionType(kind, [kind] * len(values))
         full_name = f"{name}.v{kind.count}f64"
@@ -159,18 +165,18 @@ absolute = _lane_intrinsic(1, _call_of("llvm.fabs"))
 
 
 def _positive(builder: Any, values: Any) -> Any:
-    """Return the positive part of each lane."""
+    """Emit max(x, 0) of each lane."""
     zero = ir.Constant(values[0].type, [0.0] * values[0].type.count)
     return builder.select(builder.fcmp_ordered(">", values[0], zero), values[0], zero)
 
 
 def _where_greater(builder: Any, values: Any) -> Any:
-    """Return the third values where the first exceed the second, else the fourth."""
+    """Emit ``c if a > b else d`` for each lane."""
     return builder.select(builder.fcmp_ordered(">", values[0], values[1]), values[2], values[3])
 
 
 def _where_not_less_or_equal(builder: Any, values: Any) -> Any:
-    """Return the third values unless the first are at most the second, else the fourth."""
+    """Emit ``d if a <= b else c`` for each lane; NaN gives c."""
     return builder.select(builder.fcmp_unordered(">", values[0], values[1]), values[2], values[3])
 
 
@@ -184,9 +190,10 @@ unless_within = _lane_intrinsic(4, _where_not_less_or_equal)
 
 @_intrinsic
 def all_positive(typing: Any, lanes: Any) -> Any:
-    """Return whether every lane is greater than zero."""
+    """Check whether every lane of a vector is greater than zero."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        """Emit the comparison of all lanes with zero."""
         zero = ir.Constant(values[0].type, [0.0] * lanes.width)
         above = builder.fcmp_ordered(">", values[0], zero)
         bits = builder.bitcast(above, ir.IntType(lanes.width))
@@ -197,19 +204,21 @@ def all_positive(typing: Any, lanes: Any) -> Any:
 
 @_intrinsic
 def lane(typing: Any, lanes: Any, index: Any) -> Any:
-    """Return one lane, its index a constant."""
+    """Extract one lane of a vector; its index is a constant."""
 
     def codegen(context: Any, builder: Any, signature: Any, values: Any) -> Any:
+        """Emit the extraction of the lane."""
         return builder.extract_element(values[0], ir.IntType(32)(index.literal_value))
 
     return types.float64(lanes, index), codegen
 
 
 def _operator(symbol: Any, method: str) -> None:
-    """Register an operator for vectors, with a vector or a number on the other side."""
+    """Register an arithmetic operator for vectors, with a vector or number on the other side."""
 
     class _Template(templates.AbstractTemplate):  # type: ignore[misc]
         def generic(self, arguments: Any, keywords: Any) -> Any:
+            """Return the signature for the given types; None if there is no vector or they do not match."""
             lanes = _one_width(arguments)
             if lanes is None:
                 return None
@@ -220,6 +229,7 @@ def _operator(symbol: Any, method: str) -> None:
     templates.infer_global(symbol)(_Template)
 
     def lowered(context: Any, builder: Any, intrinsic: Any, values: Any) -> Any:
+        """Broadcast numbers to vectors and emit the operator's instruction."""
         wide = [
             value if isinstance(one, Lanes) else _splat(builder, value, intrinsic.return_type)
             for one, value in zip(intrinsic.args, values, strict=True)

@@ -15,9 +15,10 @@ from numba.core import event
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorate a function with ``numba.njit(**options)``."""
+    """Create a decorator that compiles a function by ``numba.njit(**options)``, cached if possible."""
 
     def decorate(function: Callable[..., Any]) -> Callable[..., Any]:
+        """Compile a function by Numba, without the disk cache where none can be written."""
         try:
             kernel: Callable[..., Any] = numba.njit(cache=True, **options)(function)
         except RuntimeError:  # no folder for the machine code can be written
@@ -34,13 +35,13 @@ class _Compilations(event.Listener):
         self._report, self._depth = report, 0
 
     def on_start(self, event: object) -> None:
-        """Report that a compilation starts, unless one is under way."""
+        """Report the start of a compilation, unless another one is in progress."""
         self._depth += 1
         if self._depth == 1:
             self._report(True)
 
     def on_end(self, event: object) -> None:
-        """Report that the compilation has ended."""
+        """Report the end of the outermost compilation."""
         self._depth -= 1
         if self._depth == 0:
             self._report(False)

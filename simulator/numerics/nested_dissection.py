@@ -45,7 +45,7 @@ class Front:
 
 
 def dissect(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
-    """Return the order of elimination; every front comes after its children.
+    """Order the elimination of unknowns by nested dissection; each front comes after its children.
 
     Parameters
     ----------
@@ -58,6 +58,7 @@ def dissect(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
     fronts: list[Front] = []
 
     def order(chosen: IntArray) -> tuple[int, IntArray, IntArray]:
+        """Append the fronts of some cells, children first; return the number of the last front."""
         children: tuple[int, ...] = ()
         places: tuple[IntArray, ...] = ()
         if len(chosen) == 1:
@@ -89,7 +90,7 @@ def dissect(cells: IntArray, unknowns: Sequence[IntArray]) -> list[Front]:
 
 
 def _halves(cells: IntArray, chosen: IntArray) -> tuple[IntArray, IntArray]:
-    """Cut along the line that leaves the most equal halves, across the longer side."""
+    """Split cells across their longer side into the most equal halves."""
     places = cells[chosen]
     extent = places.max(axis=0) - places.min(axis=0)
     along = places[:, int(extent[1] > extent[0])]
@@ -106,7 +107,7 @@ class DissectedCholesky:
     factors: list[tuple[FloatArray, FloatArray]]
 
     def solve(self, right: FloatArray) -> FloatArray:
-        """Solve for one right-hand side, shape (unknowns,)."""
+        """Solve the linear system for one right-hand side, shape (unknowns,)."""
         x = right.copy()
         for front, (own, below) in zip(self.fronts, self.factors, strict=True):
             if len(front.eliminated):
@@ -120,7 +121,7 @@ class DissectedCholesky:
 
 
 def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> DissectedCholesky:
-    """Factorize the sum of the cells' matrices.
+    """Compute the Cholesky factor of the sum of the cells' matrices, front by front.
 
     Parameters
     ----------
@@ -152,7 +153,7 @@ def factorize(fronts: list[Front], cell_matrix: Callable[[int], FloatArray]) -> 
 def _eliminate(
     matrix: FloatArray, done: IntArray, rest: IntArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the eliminated unknowns' Cholesky factor, its continuation below and the Schur complement."""
+    """Eliminate unknowns: return their Cholesky factor, its continuation below, Schur complement."""
     below = np.asfortranarray(matrix[np.ix_(rest, done)])
     schur = matrix[np.ix_(rest, rest)]
     if not len(done):

@@ -27,7 +27,7 @@ Words = NDArray[np.uint64]
 
 
 def standard_normals(random: np.random.Generator, n: int) -> Table:
-    """Draw the numbers of ``random.standard_normal(n, dtype=np.float32)``; fast from an SFC64."""
+    """Draw n standard normal float32 numbers, as NumPy's generator does; fast from an SFC64."""
     bits = random.bit_generator
     if not isinstance(bits, np.random.SFC64):
         return random.standard_normal(n, dtype=np.float32)
@@ -43,7 +43,10 @@ def standard_normals(random: np.random.Generator, n: int) -> Table:
 
 @cache
 def _layers() -> tuple[NDArray[np.uint32], Table, Table]:
-    """Return per layer the steps fully under the curve, a step's signed width and the curve's height."""
+    """Compute the ziggurat's tables, one row per layer.
+
+    Steps fully under the curve, a step's signed width, and the curve's height.
+    """
     area = LAST_EDGE * math.exp(-0.5 * LAST_EDGE**2) + math.sqrt(0.5 * math.pi) * math.erfc(
         LAST_EDGE / math.sqrt(2.0)
     )
@@ -62,7 +65,7 @@ def _layers() -> tuple[NDArray[np.uint32], Table, Table]:
 
 @compiled(error_model="numpy")
 def _next_uint32(words: Words) -> Any:
-    """Return half of an SFC64 output: the lower one first, the upper one is kept."""
+    """Return the next 32 bits of an SFC64: the lower half first, the upper one is kept."""
     if words[4]:
         words[4] = np.uint64(0)
         return np.uint32(words[5])
@@ -77,7 +80,7 @@ def _next_uint32(words: Words) -> Any:
 
 @compiled(error_model="numpy")
 def _tail(words: Words, bits: np.uint32) -> Any:
-    """Draw a number above the last edge (Marsaglia 1964); one of the bits is the sign."""
+    """Draw a normal number beyond the last edge (Marsaglia 1964); one of the bits is the sign."""
     while True:
         first = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
         second = np.float32(_next_uint32(words) >> np.uint32(8)) * np.float32(2.0**-24)
@@ -90,7 +93,10 @@ def _tail(words: Words, bits: np.uint32) -> Any:
 
 @compiled(error_model="numpy")
 def _draw(words: Words, inside: NDArray[np.uint32], widths: Table, heights: Table, drawn: Table) -> None:
-    """Fill `drawn`; `words`: SFC64's four, whether half of a fifth is kept, and that half."""
+    """Fill `drawn` with normal numbers.
+
+    `words` holds SFC64's four, whether half of a fifth is kept, and that half.
+    """
     size = drawn.shape[0]
     done = 0
     while done < size:
@@ -131,7 +137,7 @@ def _draw(words: Words, inside: NDArray[np.uint32], widths: Table, heights: Tabl
 
 @compiled(error_model="numpy")
 def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table) -> Any:
-    """Return a number from 32 bits, and whether it is under the curve everywhere in its layer."""
+    """Convert 32 bits to a number; return also whether it is under the curve in all of its layer."""
     layer = bits & np.uint32(LAYERS - 1)
     place = bits >> np.uint32(9)
     return np.float32(place) * widths[bits & np.uint32(2 * LAYERS - 1)], place < inside[layer]
@@ -141,7 +147,7 @@ def _number_in_layer(bits: np.uint32, inside: NDArray[np.uint32], widths: Table)
 def _next_number(
     words: Words, bits: np.uint32, inside: NDArray[np.uint32], widths: Table, heights: Table
 ) -> Any:
-    """Return a number from 32 bits, or from the next ones where it is above the curve."""
+    """Draw a normal number from 32 bits; draw further bits if it is above the curve."""
     while True:
         x, under = _number_in_layer(bits, inside, widths)
         if under:

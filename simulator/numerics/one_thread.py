@@ -14,21 +14,21 @@ from threadpoolctl import ThreadpoolController
 
 @cache
 def _controller() -> ThreadpoolController:
-    """Find the libraries once: the search takes longer than a new depth."""
+    """Find the numerical libraries once, because the search takes longer than a new depth."""
     import scipy.linalg  # noqa: F401 its library must be loaded before we look
 
     return ThreadpoolController()
 
 
 def one_blas_thread() -> AbstractContextManager[object]:
-    """Run BLAS in one thread within this context."""
+    """Limit BLAS to one thread within this context."""
     limiter: AbstractContextManager[object] = _controller().limit(limits=1, user_api="blas")
     return limiter
 
 
 @cache
 def blas_libraries() -> tuple[str, ...]:
-    """Return library, version and processor kind of every BLAS in use, which determine its last digits."""
+    """List every BLAS in use by library, version and processor kind, which determine the last digits."""
     found = _controller().select(user_api="blas").info()
     return tuple(
         sorted(

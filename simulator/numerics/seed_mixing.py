@@ -35,21 +35,21 @@ class SeedWords(ISeedSequence):
         self._words = words
 
     def generate_state(self, n_words: int, dtype: Any = np.uint32) -> NDArray[Any]:
-        """Return ``n_words`` words of 32 or 64 bits."""
+        """Return ``n_words`` seed words of 32 or 64 bits, as NumPy's `SeedSequence` does."""
         per_word = np.dtype(dtype).itemsize // 4
         return np.asarray(_mixed(self._words, n_words * per_word).view(dtype))
 
 
 @compiled(error_model="numpy")
 def _hashed(value: np.uint32, before: np.uint32, after: np.uint32) -> Any:
-    """Mix a value, as NumPy's SeedSequence does."""
+    """Hash a 32-bit value as NumPy's `SeedSequence` does."""
     value = np.uint32((value ^ before) * after)
     return value ^ (value >> np.uint32(16))
 
 
 @compiled(error_model="numpy")
 def _mixed(words: Words, n_out: int) -> Words:
-    """Mix the words of a seed as numpy's `SeedSequence`; return ``n_out`` words."""
+    """Mix the words of a seed as NumPy's `SeedSequence` does; return ``n_out`` words."""
     n, pool = words.shape[0], np.empty(POOL, np.uint32)
     constant = FIRST_HASH
     for k in range(POOL):

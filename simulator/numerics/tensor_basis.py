@@ -49,18 +49,18 @@ class Axis:
         return np.concatenate(pieces)
 
     def nodes_of(self, interval: int) -> IntArray:
-        """Return the nodes of one interval, both ends included."""
+        """Return the node numbers of one interval, both ends included."""
         first = self.first
         return np.arange(first[interval], first[interval + 1] + 1)
 
     def interval_matrices(self, interval: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over one interval."""
+        """Compute ``int N_i N_j``, ``int N_i' N_j``, ``int N_i' N_j'`` over one interval."""
         length = float(self.breaks_m[interval + 1] - self.breaks_m[interval])
         mass, slope, stiffness = _reference_matrices(self.degrees[interval])
         return mass * (0.5 * length), slope, stiffness * (2.0 / length)
 
     def matrices(self, intervals: Iterable[int]) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Return the sum of the same integrals over some intervals; three arrays over all nodes."""
+        """Sum the integrals of `interval_matrices` over some intervals; three arrays over all nodes."""
         count = int(self.first[-1]) + 1
         sums = np.zeros((3, count, count))
         for interval in intervals:
@@ -70,7 +70,7 @@ class Axis:
         return sums[0], sums[1], sums[2]
 
     def values(self, at_m: FloatArray) -> FloatArray:
-        """Return all functions at some points, shape (points, nodes)."""
+        """Evaluate all shape functions at some points, shape (points, nodes)."""
         found = np.zeros((len(at_m), int(self.first[-1]) + 1))
         interval = np.clip(np.searchsorted(self.breaks_m, at_m, side="right") - 1, 0, len(self.degrees) - 1)
         for k in np.unique(interval):
@@ -83,7 +83,7 @@ class Axis:
 
 @cache
 def lobatto_points(degree: int) -> FloatArray:
-    """Return Gauss-Lobatto-Legendre points on -1..1: both ends and the extrema of Legendre's polynomial."""
+    """Compute Gauss-Lobatto-Legendre points on -1..1, rising, both ends included."""
     top = np.zeros(degree + 1)
     top[degree] = 1.0
     inner = np.sort(legendre.legroots(legendre.legder(top)).real)
@@ -91,7 +91,7 @@ def lobatto_points(degree: int) -> FloatArray:
 
 
 def lagrange(degree: int, at: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return Lagrange's polynomials on the Lobatto points and their derivatives.
+    """Evaluate Lagrange's polynomials on the Lobatto points, and their derivatives.
 
     Shape (points, degree + 1).
     """
@@ -102,7 +102,7 @@ def lagrange(degree: int, at: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 @cache
 def _reference_matrices(degree: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return mass, coupling and stiffness matrices of an element of this degree on [-1, 1]."""
+    """Compute mass, coupling and stiffness matrices of an element of this degree on [-1, 1]."""
     points, weights = legendre.leggauss(degree + 1)
     value, slope = lagrange(degree, points)
     weighted_value, weighted_slope = weights[:, None] * value, weights[:, None] * slope
@@ -117,7 +117,7 @@ def graded_breaks_m(
     largest_m: float,
     stops_m: Sequence[float],
 ) -> FloatArray:
-    """Return intervals from 0 to `length_m` that are small at `features` and grow linearly away from them.
+    """Divide 0 to `length_m` into intervals that are small at `features` and grow away from them.
 
     Parameters
     ----------

@@ -144,7 +144,7 @@ class ChainParameters:
         )
 
     def with_worn_contacts(self, radius_factor: float) -> ChainParameters:
-        """Return the chain with other radii of curvature at all contacts and the same masses."""
+        """Return the chain with all radii of curvature scaled and the same masses."""
         spheres = tuple(
             other
             if other.radius_m is None and other.density_kg_per_m3 is None
@@ -159,7 +159,7 @@ class ChainParameters:
         return replace(self, radius_m=self.radius_m * radius_factor, spheres=spheres)
 
     def _mass_kg(self, other: SphereParameters) -> float:
-        """Return the mass of another sphere: given, by its density, or by its radius."""
+        """Return the mass of a different sphere in kg: as given, by density, or by radius."""
         if other.mass_kg is not None:
             return other.mass_kg
         radius = self.radius_m if other.radius_m is None else other.radius_m
@@ -168,7 +168,7 @@ class ChainParameters:
         return self.mass_kg if other.radius_m is None else self.mass_kg * (radius / self.radius_m) ** 3
 
     def _check_spheres(self) -> None:
-        """Raise an error for spheres that the chain does not have, or that are described twice."""
+        """Check the described spheres; raise an error for one that does not exist or is described twice."""
         described: set[int] = set()
         for other in self.spheres:
             if other.bodies[-1] >= self.bodies:
@@ -190,7 +190,7 @@ class ChainParameters:
             _check_density(f"mass_kg of body {other.body}", self._mass_kg(other), radius)
 
     def _check_moduli(self) -> None:
-        """Raise an error for spheres that would be too soft."""
+        """Check Young's moduli at the chain's temperature; raise ValueError for one that is too low."""
         given = [self.youngs_modulus_pa]
         given += [other.youngs_modulus_pa for other in self.spheres if other.youngs_modulus_pa is not None]
         softest = youngs_modulus_at_pa(min(given), self.youngs_modulus_change_per_k, self.temperature_c)
@@ -202,12 +202,12 @@ class ChainParameters:
 
 
 def _volume_m3(radius_m: float) -> float:
-    """Return the volume of a sphere."""
+    """Return the volume of a sphere in m3."""
     return 4.0 / 3.0 * math.pi * radius_m**3
 
 
 def _check_density(name: str, mass_kg: float, radius_m: float) -> None:
-    """Check that mass and radius give a plausible density."""
+    """Check that mass and radius give a plausible density; raise ValueError if they do not."""
     density_kg_per_m3 = mass_kg / _volume_m3(radius_m)
     if not 1.0 <= density_kg_per_m3 <= 1e5:
         raise ValueError(

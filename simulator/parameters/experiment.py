@@ -60,7 +60,7 @@ class ThinningParameters:
             )
 
     def _check_history(self) -> None:
-        """Raise an error for a history of depths that does not rise or has a second law next to it."""
+        """Check a history of depths; raise an error if it does not rise or a second law is given."""
         if self.depth_fraction != 0.0 or self.unevenness != 0.0:
             raise ValueError(
                 f"history is given together with depth_fraction {self.depth_fraction} and unevenness "

@@ -123,7 +123,7 @@ class PlateParameters:
         )
 
     def _check_contact(self) -> None:
-        """Raise an error for a contact that does not fit on the plate or is not resolved."""
+        """Check that the contact fits on the plate and is resolved; raise ValueError if not."""
         reach_m = self.contact_radius_m if self.contact == "patch" else self.contact_element_m
         for name, at_m, edge_m in (
             ("contact_x_m", self.contact_x_m, self.width_m),

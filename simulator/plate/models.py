@@ -26,14 +26,14 @@ class ModalPlate(Protocol):
     """Finite plate under the chain."""
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Return all modes of the model with the patch thinned by `depth_fraction`."""
+        """Compute all modes of the model with the patch thinned by `depth_fraction`."""
         ...
 
 
 def modal_plate(
     plate: PlateParameters, corrosion: CorrosionParameters, cache_folder: Path | None
 ) -> ModalPlate | None:
-    """Prepare the plate of `plate.model`; None for an analytic reference, which has no modes.
+    """Prepare the plate of `plate.model` for modes; None for an analytic reference, which has none.
 
     Parameters
     ----------
@@ -82,7 +82,7 @@ class CachedSolid:
         self._lock = threading.Lock()
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Return modes with the patch thinned by `depth_fraction`."""
+        """Return the modes of the solid with the patch thinned by `depth_fraction`, from memory if known."""
         with self._lock:  # two threads must not compute the same depth
             found = self._known.get(depth_fraction)
             if found is None:
@@ -93,7 +93,7 @@ class CachedSolid:
             return found
 
     def _found(self, corrosion: CorrosionParameters) -> PlateModes:
-        """Return the modes of a thinned plate, from the family of bases where that is exact enough."""
+        """Compute the modes of a thinned plate, from the family of bases if that is exact enough."""
         check_solid(self._plate, corrosion)
         lost = corrosion.depth_fraction * corrosion.depth_factor
         if not self._plate.solid.one_basis or lost < SHALLOWEST_FRACTION:
@@ -104,9 +104,10 @@ class CachedSolid:
             return self._family.modes(1.0 - lost)
 
     def _kept_modes(self, corrosion: CorrosionParameters) -> PlateModes:
-        """Return the modes of a thinned plate from the cache, or compute them."""
+        """Read the modes of a thinned plate from the disk cache, or compute and store them."""
 
         def compute() -> dict[str, FloatArray]:
+            """Compute the modes in one BLAS thread; return their arrays by name."""
             with one_blas_thread():
                 return asdict(solid_modes(self._plate, corrosion))
 
@@ -116,9 +117,10 @@ class CachedSolid:
         return PlateModes(**found, residual_compliance_m_per_n=residual_m_per_n)
 
     def _kept_family(self) -> SolidFamily:
-        """Return the family of modes from the cache, or compute it."""
+        """Read the family of modes from the disk cache, or compute and store it."""
 
         def compute() -> dict[str, FloatArray]:
+            """Compute the family in one BLAS thread; return its arrays by name."""
             with one_blas_thread():
                 return solid_family(self._plate, self._corrosion).arrays()
 

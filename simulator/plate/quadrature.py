@@ -20,7 +20,7 @@ def gauss(count: int, end: float) -> tuple[FloatArray, FloatArray]:
 
 
 def hertz_points(radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return points over a quarter of the circle and the pressure's share at each: x, y in m, share.
+    """Return quadrature points over a quarter of the circle: x, y in m, and share of the pressure.
 
     With ``c = sqrt(1 - r^2 / a^2)`` the force on a ring is ``c r dr ~ c^2 dc``, smooth in c: Gauss points
     in c and in the angle carry the pressure.

@@ -46,7 +46,7 @@ class PlateModes:
         return float(modal) + self.residual_compliance_m_per_n
 
     def of_modulus(self, factor: float) -> PlateModes:
-        """Return the modes with `factor` times the Young's modulus, to which stiffness is proportional."""
+        """Return the modes for `factor` times the Young's modulus, to which stiffness is proportional."""
         return PlateModes(
             omega_rad_per_s=self.omega_rad_per_s * math.sqrt(factor),
             participation=self.participation,
@@ -54,7 +54,7 @@ class PlateModes:
         )
 
     def cut_above(self, omega_rad_per_s: float, yielding_per_kg: float) -> PlateModes:
-        """Keep the lower modes; the others become residual compliance.
+        """Convert modes above a frequency to residual compliance; keep the lower ones.
 
         Parameters
         ----------
@@ -94,7 +94,7 @@ class ReducedPlate:
     load: FloatArray
 
     def modes(self, depth_fraction: float) -> PlateModes:
-        """Return modes of the reduced plate with the patch thinned by `depth_fraction`."""
+        """Compute the modes of the reduced plate with the patch thinned by `depth_fraction`."""
         size = self.stiffness.shape[1]
         powers = (1.0 - depth_fraction) ** np.arange(4.0)
         k, m = ((powers @ terms.reshape(4, -1)).reshape(size, size) for terms in (self.stiffness, self.mass))
@@ -107,7 +107,7 @@ class ReducedPlate:
 
 
 def merge(vectors: FloatArray, weight: FloatArray, strengths: list[FloatArray]) -> FloatArray:
-    """Return a basis of the span of `vectors`' rows without the weakest directions.
+    """Build a basis of the span of `vectors`' rows without the weakest directions.
 
     Parameters
     ----------

@@ -97,7 +97,7 @@ _compiled = compiled(nogil=True, error_model="numpy")
 
 @_compiled
 def _power_of_overlap(overlap: Any, law: int) -> Any:
-    """Return ``overlap^(1 + p)``, by square roots only."""
+    """Compute ``overlap^(1 + p)`` of a damping law by square roots only."""
     if law == 0:
         return overlap
     root = sqrt(overlap)
@@ -110,7 +110,7 @@ def _power_of_overlap(overlap: Any, law: int) -> Any:
 
 @_compiled
 def _slope_of_power(overlap: Any, law: int) -> Any:
-    """Return the derivative of `_power_of_overlap` by the overlap."""
+    """Compute the derivative of `_power_of_overlap` by the overlap."""
     if law == 0:
         return overlap * 0.0 + 1.0
     root = sqrt(overlap)
@@ -127,7 +127,7 @@ _step = compiled(inline="always", nogil=True, error_model="numpy")
 
 @_step
 def _bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodies:
-    """Return all bodies at rest except the striker: before first touch it fell freely, an exact history."""
+    """Create all bodies at rest except the striker, whose past free fall is exact."""
     last = chains.mass.shape[0] - 1
     row = -(-last * width // BLOCK) * BLOCK + width + BLOCK
     overlap, gap, static_overlap = np.zeros(row), np.zeros(row), np.zeros(row)
@@ -172,7 +172,7 @@ def _bodies_at_rest(chains: Chains, speed: Any, step: float, width: int) -> Bodi
 def _contact(
     chains: Chains, specimen: Propagator, step: float, width: int, law: int, linear: bool
 ) -> Contact:
-    """Return the weights of everything that acts on the plate's contact within a step."""
+    """Compute the weights of everything that acts on the plate's contact within a step."""
     last = chains.mass.shape[0] - 1
     bank, compliance = specimen.bank, specimen.residual_compliance_m_per_n
     w_per_i = w_per_s = specimen.mobility_m_per_n_s
@@ -230,7 +230,7 @@ def _contact(
 
 @_step
 def _last_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> LastBody:
-    """Return the last body under its static load."""
+    """Create the last body under its static load."""
     held = np.empty(width)
     row = (chains.mass.shape[0] - 1) * width
     for k in range(width):
@@ -254,7 +254,7 @@ def _last_at_rest(chains: Chains, contact: Contact, zero: Any, width: int) -> La
 
 @_step
 def _energy_at_first(chains: Chains, strikes: Strikes, compliance: float, width: int) -> FloatArray:
-    """Return the energy of all contacts and of the striker, one shot after the other."""
+    """Compute the initial energy of all contacts and of the striker for each shot, in J."""
     last = chains.mass.shape[0] - 1
     energy = np.empty(width)
     for k in range(width):
@@ -277,7 +277,7 @@ def _strike_twice(
     step: float,
     speed: float,
 ) -> float:
-    """Apply a second impact of the striker of lane `k` at step `n`; return the added energy in J.
+    """Apply a second impact of the striker of lane `k` at step `n`; return the energy added in J.
 
     It was taken off before: its contact is open and has an open past. The impulse that it gave stays with
     the body below.
@@ -304,7 +304,7 @@ def _strike_twice(
 def _advance_mode(
     bent: Any, gain: Any, m: Any, i_bends: Any, i_gains: Any, s_bends: Any, s_gains: Any, i0: Any, s0: Any
 ) -> Any:
-    """Return the deflection without the share of I and S, and the state after a step with it.
+    """Advance one mode by a step; return its deflection without the share of I and S, and its state.
 
     What the last step gave is added at the end: nothing else needs to wait for its contact.
     """
@@ -315,7 +315,7 @@ def _advance_mode(
 
 @_step
 def _advance_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody) -> None:
-    """Advance the modes of a plate, eight of one shot at a time; return the summed deflections of each shot.
+    """Advance the modes of a plate, eight of one shot at a time; return each shot's deflection.
 
     The sums lack what I and S add.
     """
@@ -341,7 +341,7 @@ def _advance_modes_of_two(y: FloatArray, sums: FloatArray, bank: FloatArray, las
 
 @_step
 def _put_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
-    """Store the sum over eight modes of two shots so that `_sum_of_eight` adds nothing to it."""
+    """Store the sums of two shots so that `_sum_of_eight` adds nothing to them."""
     n = 2 * BLOCK
     store(sums, n, total)
     store(sums, n + BLOCK, other)
@@ -355,7 +355,10 @@ def _put_sums_of_two(sums: FloatArray, total: Any, other: Any) -> None:
 def _advance_modes_of_many(
     y: FloatArray, sums: FloatArray, bank: FloatArray, last: LastBody, width: int
 ) -> None:
-    """Advance the modes of shots side by side, one mode of all at a time; sums of every eighth mode."""
+    """Advance the modes of shots side by side, one mode of all at a time.
+
+    Write the sums of every eighth mode.
+    """
     for j in range(BLOCK):
         total = broadcast(0.0, width)
         for b in range(bank.shape[0] // (BANK_ROWS * BLOCK)):
@@ -379,7 +382,7 @@ def _advance_modes_of_many(
 
 @_step
 def _sum_of_eight(sums: FloatArray, width: int) -> Any:
-    """Return the sum of eight vectors in a fixed order."""
+    """Sum eight vectors in a fixed order, so that results are reproducible to the bit."""
     front = load(sums, 0, width) + load(sums, width, width)
     front = front + (load(sums, 2 * width, width) + load(sums, 3 * width, width))
     back = load(sums, 4 * width, width) + load(sums, 5 * width, width)
@@ -400,7 +403,10 @@ def _predict_places(bodies: Bodies, last: LastBody, row_of_last: int, size: int,
 
 @_step
 def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: float, law: int) -> None:
-    """Compute impulses on every body from the predicted overlaps; `striker`: what moves that one."""
+    """Compute impulses on every body from the predicted overlaps.
+
+    `striker` is the impulse that moves the striker.
+    """
     store(bodies.given, 0, striker)
     for k in range(0, size, BLOCK):
         q = load(bodies.static_overlap, k, BLOCK)
@@ -417,7 +423,7 @@ def _predict_impulses(bodies: Bodies, striker: Any, size: int, width: int, h24: 
 
 @_step
 def _move(bodies: Bodies, size: int, width: int, h24: float) -> None:
-    """Apply the Adams-Moulton step to velocities and displacements of all bodies but the last."""
+    """Correct velocities and displacements of all bodies but the last by an Adams-Moulton step."""
     for k in range(0, size, BLOCK):
         v = load(bodies.given, k, BLOCK) - load(bodies.given, k + width, BLOCK)
         v = v * load(bodies.per_mass, k, BLOCK)
@@ -432,7 +438,7 @@ def _move(bodies: Bodies, size: int, width: int, h24: float) -> None:
 
 @_step
 def _root_of_overlap(d_free: Any, last: LastBody, contact: Contact, zero: Any, law: int, linear: bool) -> Any:
-    """Solve ``p + (..) p^q + (..) p^(3/2) = d_free`` for the square root of p; zero where d_free is negative.
+    """Solve ``p + (..) p^q + (..) p^(3/2) = d_free`` for sqrt(p); return 0 if d_free is negative.
 
     Two steps with the slope where the last three overlaps point; that slope waits for nothing.
     """
@@ -478,7 +484,10 @@ def _root_of_overlap(d_free: Any, last: LastBody, contact: Contact, zero: Any, l
 def _press_plate(
     last: LastBody, contact: Contact, above: Any, w_free: Any, zero: Any, law: int, linear: bool
 ) -> LastBody:
-    """Solve the plate's contact and move the last body; `above`: its impulse from the contact above."""
+    """Solve the plate's contact and move the last body.
+
+    `above` is the impulse on it from the contact above.
+    """
     h24 = contact.step / 24.0
     h38 = 9.0 * h24
     n_plate, s_plate, per_mass = contact.static_force, contact.static_dashpot, contact.per_mass
@@ -522,7 +531,7 @@ def _press_plate(
 def _dissipated_at_plate(
     last: LastBody, contact: Contact, p: Any, s: Any, total: Any, stretch: Any, stored: Any, zero: Any
 ) -> Any:
-    """Add the losses of a step in the plate's contact and, at its release, in the cut modes."""
+    """Add a step's losses in the plate's contact and, at its release, in the cut modes."""
     impulse = total - last.total
     # Touching for the part of the step in which `stretch` is positive.
     part = where_greater(stretch, zero, stretch / (stretch - last.stretch), zero + 1.0)
@@ -537,7 +546,7 @@ def _dissipated_at_plate(
 
 @_step
 def _correct_forces(bodies: Bodies, size: int, width: int, h24: float, law: int) -> None:
-    """Correct the forces inside the chain and their impulses, and add the dashpots' losses."""
+    """Correct forces inside the chain and their impulses; add the losses of the dashpots."""
     for k in range(0, size, BLOCK):
         d = load(bodies.u, k, BLOCK) - load(bodies.u, k + width, BLOCK)
         d = d + load(bodies.static_overlap, k, BLOCK)
@@ -569,7 +578,10 @@ def _force(
     width: int,
     law: int,
 ) -> Any:
-    """Return the force of contact i; `closing`: rate at which the one with the plate is pressed."""
+    """Compute the force of contact i in N.
+
+    `closing` is the rate at which the contact with the plate is pressed.
+    """
     if i < chains.mass.shape[0] - 1:
         p = load(bodies.overlap, i * width, width)
         rate = load(bodies.v0, i * width, width) - load(bodies.v0, (i + 1) * width, width)
@@ -585,7 +597,7 @@ def _force(
 
 @_step
 def _energy_of_bodies(bodies: Bodies, last: LastBody, contact: Contact, chains: Chains, width: int) -> Any:
-    """Return energy and losses of chain and contacts, without the modes of the plate."""
+    """Sum energy and losses of chain and contacts, without the modes of the plate."""
     n_last = chains.mass.shape[0] - 1
     spent = last.dissipated
     for i in range(n_last):
@@ -666,7 +678,7 @@ def _energy_of_modes_of_many(
 
 @_step
 def _energy_of_mode(bent: Any, gain: Any, acting: Any, bending: Any, moving: Any) -> Any:
-    """Return the energy of a mode under I now, one and two steps ago and S now."""
+    """Compute the energy of a mode from I now, one and two steps ago and S now."""
     speed = fma(moving[0], gain, moving[1] * bent)
     speed = fma(moving[2], acting[0], fma(moving[3], acting[1], speed))
     speed = fma(moving[4], acting[2], fma(moving[5], acting[3], speed))
@@ -695,7 +707,7 @@ def kernel(width: int, linear: bool) -> Callable[..., None]:
 
 
 def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
-    """Return the time integration for ``W`` shots at once, with or without linear contacts."""
+    """Create the time integration of ``W`` shots at once, with or without linear contacts."""
 
     def integrate(
         chains: Chains,
@@ -706,6 +718,7 @@ def _time_loop(W: int, LINEAR: bool) -> Callable[..., None]:
         interval: int,
         found: Results,
     ) -> None:
+        """Integrate all lanes over the record; write the results into `found`."""
         law = 0 if LINEAR else law_of_damping  # known while compiling where it is linear
         last_body = chains.mass.shape[0] - 1
         size = -(-last_body * W // BLOCK) * BLOCK

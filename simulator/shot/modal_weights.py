@@ -15,7 +15,7 @@ MANY_POINTS = 24
 
 
 def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s: float) -> FloatArray:
-    """Return the weights for the modes of a plate, float64, shape (n_blocks * BANK_ROWS * BLOCK,).
+    """Compute weights of a plate's modes for a step, shape (n_blocks * BANK_ROWS * BLOCK,).
 
     A step turns ``y = phi z / omega``, whose real parts add up to the deflection under the chain, by
     ``t = exp(-i omega h)`` and adds ``a I1 + b I2 + c I3 + d S1``, I and S one, two and three steps ago; what
@@ -59,7 +59,7 @@ def modal_weights(omega_rad_per_s: FloatArray, participation: FloatArray, step_s
 
 @cache
 def _gauss_rule(points: int) -> tuple[FloatArray, FloatArray]:
-    """Return each point's distance from the step's end, and its weights of the six values.
+    """Return each Gauss point's distance from the step's end, and its weights of the six values.
 
     These are of the cubic through I at tau = 1, 0, -1 and -2 and of the line through S at 1 and 0, with
     tau in steps from the step's start.

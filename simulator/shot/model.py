@@ -150,16 +150,14 @@ class ShotModel:
     Parameters
     ----------
     chain, plate, corrosion
-        The transducer, the specimen and its patch; `corrosion.depth_fraction` is the depth of a shot
-        that names none.
+        The transducer, the specimen and its patch; `corrosion.depth_fraction` is the default depth.
     duration_s
         Length of the record from first touch. None: it holds the reflected wave, 1.4 ms for the paper's
         chain, longer for slow chains and for soft specimens, where it comes late (`TURN_TO_END`).
     cache_folder
         Where reductions of plates are kept; None keeps none.
     step_s
-        Step of the integration and spacing of the record, for studies of convergence. None chooses
-        one that resolves the chain, 0.5 us for the paper's.
+        Step of the integration and of the record. None resolves the chain, by 0.5 us for the paper's.
     prepared_plate
         What `modal_plate` gives for `plate` and `corrosion`, where the caller has it for another chain.
     energy_tolerance
@@ -207,7 +205,7 @@ class ShotModel:
         self._lock = threading.Lock()
 
     def with_chain(self, chain: ChainParameters) -> ShotModel:
-        """Return another chain on the same plate, whose reduction is shared since it takes seconds.
+        """Return a model of another chain on the same plate, whose slow reduction is shared.
 
         A chain of about the same speed shares step and prepared depths, too: contacts may wear with every
         set. It has a step of its own where that must be less than 0.4 of this model's.
@@ -231,7 +229,7 @@ class ShotModel:
         return other
 
     def with_liquid(self, depth_factor: float) -> ShotModel | None:
-        """Return the same chain with another depth of the liquid; None for a dry plate."""
+        """Return a model with another depth of the liquid; None for a dry plate."""
         liquid = self._plate.liquid
         if liquid is None:
             return None
@@ -253,7 +251,7 @@ class ShotModel:
         tilt_rad: float | None = None,
         contact_forces: bool = False,
     ) -> ShotForce:
-        """Return the force at the sensor for one strike.
+        """Simulate the force at the sensor for one strike.
 
         Parameters
         ----------
@@ -279,15 +277,12 @@ class ShotModel:
         tilt_rad: float | None = None,
         contact_forces: bool = False,
     ) -> ShotForce:
-        """Return the force at the sensor above a through hole: an incident wave and no reflected one."""
+        """Simulate the force at the sensor above a through hole: an incident wave without a reflected one."""
         impact = Impact(through_hole=True, drop_height_m=drop_height_m, tilt_rad=tilt_rad)
         return self.shots([impact], contact_forces=contact_forces)[0]
 
     def shots(self, impacts: Iterable[Impact], *, contact_forces: bool = False) -> list[ShotForce]:
-        """Return the force at the sensor for many strikes, in their order; errors as for `shot`.
-
-        Strikes at the same depth are computed side by side. Each has the digits that it has alone.
-        """
+        """Simulate many strikes in order, side by side per depth, bit-identical to each alone; see `shot`."""
         by_wall: dict[tuple[float, float, bool], list[tuple[int, Chain]]] = {}
         count = 0
         for count, impact in enumerate(impacts, start=1):
@@ -306,6 +301,7 @@ class ShotModel:
         return [forces[order] for order in range(count)]
 
     def _depth(self, impact: Impact) -> float:
+        """Return the depth fraction of an impact; raise SpecimenError above 0 without a patch."""
         if impact.depth_fraction is None:
             return self._corrosion.depth_fraction
         depth = float(impact.depth_fraction)
@@ -317,6 +313,7 @@ class ShotModel:
         return depth
 
     def _struck(self, impact: Impact) -> Chain:
+        """Return the chain of an impact, with its drop height, tilt and contacts."""
         chain, height_m, tilt_rad = self._chain, impact.drop_height_m, impact.tilt_rad
         struck = self._nominal
         if height_m is not None or tilt_rad is not None or impact.contacts is not None:
@@ -335,6 +332,8 @@ class ShotModel:
     def _over_wall(
         self, chains: list[Chain], depth: float, modulus: float, contact_forces: bool
     ) -> list[ShotForce]:
+        """Simulate chains over a wall of one depth and modulus; extend records that end too soon."""
+
         def specimen(step: float, wide: bool) -> Propagator:
             return self._propagator(depth, step, wide, modulus)
 
@@ -349,6 +348,7 @@ class ShotModel:
         return forces
 
     def _over_hole(self, chains: list[Chain], contact_forces: bool) -> list[ShotForce]:
+        """Simulate chains above a through hole, where nothing is reflected."""
         free_ends = [
             replace(
                 chain,
@@ -377,7 +377,7 @@ class ShotModel:
         retainer_force_n: float = 0.0,
         contact_forces: bool = False,
     ) -> list[ShotForce]:
-        """Integrate with ever smaller steps, then also more modes, until the energy balances close."""
+        """Integrate with smaller steps, then with more modes, until the energy balances close."""
         samples = round(duration_s / self._step_s) + 1
         time_s = self._step_s * np.arange(samples, dtype=np.float64)
         forces: dict[int, ShotForce] = {}
@@ -419,7 +419,7 @@ class ShotModel:
         )
 
     def _propagator(self, depth: float, step: float, wide: bool, modulus: float) -> Propagator:
-        """Return the modes of a thinned wall for a time step, from those prepared before."""
+        """Return the prepared modes of a thinned wall for a time step."""
         if self._modal_plate is None:
             still = _specimen_without_modes(self._plate)
             return still._replace(mobility_m_per_n_s=still.mobility_m_per_n_s / math.sqrt(modulus))
@@ -447,7 +447,7 @@ class ShotModel:
 
 
 def _modes_in_one_thread(plate: ModalPlate | None, depth: float) -> PlateModes:
-    """Return the modes of a plate at a depth, computed with one BLAS thread."""
+    """Compute the modes of a plate at a depth in one BLAS thread."""
     assert plate is not None, "an analytic anchor has no modes"
     with one_blas_thread():
         return plate.modes(depth)
@@ -464,14 +464,14 @@ def _specimen_without_modes(plate: PlateParameters) -> Propagator:
 
 
 def _without_last(values: FloatArray) -> FloatArray:
-    """Return a copy with zero as last value."""
+    """Copy an array with zero as its last value."""
     changed = values.copy()
     changed[-1] = 0.0
     return changed
 
 
 def _no_patch(model: str, depth: float) -> str:
-    """Return the message that a plate model has no patch."""
+    """Return the error message for a depth in a plate model without a patch."""
     return (
         f"depth_fraction is {depth}, but a plate of model {model} has no patch; "
         f"use depth 0 or plate.model = 'mindlin' or 'solid'"
@@ -479,7 +479,10 @@ def _no_patch(model: str, depth: float) -> str:
 
 
 def _attempts(*, modal: bool) -> Iterator[tuple[int, bool]]:
-    """Return halvings of the step, and whether to keep modes up to `WIDE_CUT_PHASE_RAD`."""
+    """Yield the attempts of an integration: halvings of the step, and whether to keep more modes.
+
+    More modes are those up to `WIDE_CUT_PHASE_RAD`.
+    """
     for halving in range(STEP_HALVINGS + 1):
         yield halving, False
         if halving and modal:

@@ -51,7 +51,7 @@ class PulseSummary:
 
 
 def summarise(force: ShotForce) -> PulseSummary:
-    """Return ISW, PSW, time of flight and amplitude ratio of `force`.
+    """Measure ISW, PSW, time of flight and amplitude ratio of `force`.
 
     Raises
     ------
@@ -88,7 +88,10 @@ def summarise(force: ShotForce) -> PulseSummary:
 
 @compiled(error_model="numpy")
 def _waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: float) -> tuple[int, int]:
-    """Return the samples of ISW and PSW; -1: there is none. ``turn_s`` is NaN where nothing turns."""
+    """Find the samples of ISW and PSW in a force; -1 for one that is not there.
+
+    ``turn_s`` is NaN if nothing is reflected.
+    """
     n = force_n.shape[0]
     strongest = -np.inf
     for k in range(n):
@@ -121,12 +124,12 @@ def _waves(force_n: FloatArray, time_s: FloatArray, preload_n: float, turn_s: fl
 
 @compiled(error_model="numpy")
 def _is_maximum(values: FloatArray, k: int) -> bool:
-    """Return whether a sample is above the one before and not below the one after: a plateau counts once."""
+    """Check whether a sample is a local maximum; of a plateau, only the first sample is one."""
     return bool(values[k] > values[k - 1] and values[k] >= values[k + 1])
 
 
 def _interpolated(force: ShotForce, index: int) -> tuple[float, float]:
-    """Return time in s and height in N of the parabola through the samples around a maximum."""
+    """Interpolate a maximum by a parabola: return its time in s and height in N."""
     before, at, after = force.force_n[index - 1 : index + 2].tolist()
     spacing_s = float(force.time_s[1]) - float(force.time_s[0])
     shift = 0.5 * (before - after) / (before - 2.0 * at + after)

@@ -38,7 +38,7 @@ def integrate(
     retainer_force_n: float,
     contact_forces: bool,
 ) -> list[Record]:
-    """Integrate chains that differ in impact speed and contacts only, as many as fit side by side."""
+    """Integrate chains that differ in impact speed and contacts only, as many at once as fit."""
     records: list[Record] = []
     while len(records) < len(chains):
         rest = len(chains) - len(records)
@@ -63,6 +63,7 @@ def _side_by_side(
     chain = lanes[0]
 
     def of_all(name: str) -> FloatArray:
+        """Return one field of all lanes, body by body with the lanes adjacent."""
         return np.array([getattr(lane, name) for lane in lanes]).ravel(order="F")
 
     bodies = len(chain.mass_kg)

@@ -12,7 +12,7 @@ PHASE_PER_STEP_RAD = 0.05
 
 
 def resolving_step_s(chain: Chain) -> float:
-    """Return the largest step of 1, 2, 5 x 10^k s that resolves `chain`.
+    """Choose the largest time step of 1, 2 or 5 x 10^k s that resolves `chain`.
 
     The dashpots between the spheres must relax slowly compared with a step, too.
     """
@@ -29,12 +29,12 @@ def resolving_step_s(chain: Chain) -> float:
 
 
 def stiffest_contact_n_per_m(chain: Chain) -> float:
-    """Estimate dF/dd of a contact at its peak."""
+    """Estimate the stiffness dF/dd of the stiffest contact at its peak, in N/m."""
     return 1.5 * float(chain.stiffness_n_per_m15.max()) * math.sqrt(peak_overlap_m(chain))
 
 
 def peak_overlap_m(chain: Chain) -> float:
-    """Estimate the largest overlap, from two spheres that collide at the striker's speed.
+    """Estimate the largest overlap in m, from two spheres that collide at the striker's speed.
 
     A precompressed contact is pressed that much further.
     """
@@ -44,7 +44,7 @@ def peak_overlap_m(chain: Chain) -> float:
 
 
 def record_duration_s(chain: Chain) -> float:
-    """Return the duration that holds the reflected wave: 1.4 ms, more for slower chains.
+    """Return the duration in s that includes the reflected wave: 1.4 ms, more for slower chains.
 
     A solitary wave needs about ``1.2 (m^2 / (A^2 v))^(1/5)`` from one contact to the next, down the
     chain and back to the sensor; 2.5 times that leaves room for a soft specimen.

@@ -72,7 +72,7 @@ class ZenerReflection:
 
 
 def solve_impact(inelasticity: float, *, tolerance: float = TOLERANCE) -> ZenerImpact:
-    """Return restitution and contact time of eq. 8, solved numerically.
+    """Solve eq. 8 numerically for the restitution and contact time of an impact.
 
     Eq. 8, ``sigma'' + (1 + lambda d/dtau) sigma^(3/2) = 0``, has a force whose second derivative is infinite
     at both ends. With the sphere's speed ``p = sigma' + lambda sigma^(3/2)``, the root
@@ -126,14 +126,16 @@ def solve_impact(inelasticity: float, *, tolerance: float = TOLERANCE) -> ZenerI
 
 
 def _integrate(inelasticity: float, tolerance: float) -> tuple[float, float, float]:
-    """Return restitution, contact time and energy residual of eq. 8 at one relative tolerance."""
+    """Integrate eq. 8 at one tolerance; return restitution, contact time and energy residual."""
 
     def slope(_: float, state: Sequence[float]) -> list[float]:
+        """Return the derivatives of root, speed, time and energy loss by s."""
         x, p, _tau, _taken = state
         force = x * x * x
         return [p - inelasticity * force, -2.0 * x * force, 2.0 * x, 2.0 * inelasticity * x * force * force]
 
     def separation(_: float, state: Sequence[float]) -> float:
+        """Return the root of the overlap, which is zero at separation."""
         return state[0]
 
     separation.terminal = True  # type: ignore[attr-defined]
@@ -160,13 +162,19 @@ def _integrate(inelasticity: float, tolerance: float) -> tuple[float, float, flo
 
 
 def approximate_restitution(inelasticity: float) -> float:
-    """Return ``e = exp(-1.6605 lambda)``, eq. 10, for lambda from 0 to 1; SpecimenError outside."""
+    """Approximate the restitution by eq. 10, ``e = exp(-1.6605 lambda)``.
+
+    Raise SpecimenError for lambda outside 0 to 1.
+    """
     _check_inelasticity(inelasticity, LARGEST_FOR_EQUATION_10, "use solve_impact beyond eq. 10")
     return math.exp(-1.6605 * inelasticity)
 
 
 def approximate_contact_time(inelasticity: float) -> float:
-    """Return ``tau_c = 2.762 + 0.4568 exp(1.27 lambda)``, eq. 12, lambda 0 to 2; SpecimenError outside."""
+    """Approximate the contact time by eq. 12, ``tau_c = 2.762 + 0.4568 exp(1.27 lambda)``.
+
+    Raise SpecimenError for lambda outside 0 to 2.
+    """
     _check_inelasticity(inelasticity, LARGEST_FOR_EQUATION_12, "use solve_impact beyond eq. 12")
     return 2.762 + 0.4568 * math.exp(1.27 * inelasticity)
 
@@ -183,7 +191,7 @@ def inelasticity_parameter(
     plate_youngs_modulus_pa: float,
     plate_poisson_ratio: float,
 ) -> float:
-    """Return lambda of eq. 9, dimensionless.
+    """Compute the inelasticity parameter lambda of eq. 9, dimensionless.
 
     It is ``m / (T Z)``: mass of the sphere over the contact's time scale ``T = (m / (A sqrt(v)))^(2/5)``
     and the thin plate's impedance ``Z = 8 sqrt(D rho h)``.
@@ -224,7 +232,7 @@ def inelasticity_parameter(
 
 
 def amplitude_ratio(restitution: float) -> float:
-    """Return ``AR = e^(6/5)``, eq. 11: peak force of the PSW over that of the ISW; e from above 0 to 1."""
+    """Compute the ratio of peak forces PSW / ISW by eq. 11, ``AR = e^(6/5)``; e above 0, at most 1."""
     _check_restitution(restitution)
     return float(restitution**1.2)
 
@@ -239,7 +247,7 @@ def time_of_flight_s(
     plate_stiffness: float,
     impact_speed_m_per_s: float,
 ) -> float:
-    """Return the time from ISW to PSW at the sensor in s, eq. 13.
+    """Compute the time from ISW to PSW at the sensor by eq. 13, in s.
 
     ``[1.18 (1 + e^(-1/5)) N A_s^(-2/5) + 1.08 tau_c A_p^(-2/5)] m^(2/5) v_imp^(-1/5)``: down and back
     through N contacts, and the stay at the plate (1.08 is ``0.682^(-1/5)``).
@@ -275,7 +283,7 @@ def time_of_flight_s(
 def reflect(
     chain: ChainParameters, plate: PlateParameters, *, depth_fraction: float = 0.0, closed_form: bool = False
 ) -> ZenerReflection:
-    """Return time of flight and amplitude ratio of a transducer on a plate thinned under it.
+    """Compute time of flight and amplitude ratio of a transducer on a plate thinned under it.
 
     Of the chain count radius, mass, material, temperature, spheres below the sensor and drop height; of
     the plate thickness and material. The model of the plate, its edges and the outline of a patch do not.
@@ -353,7 +361,7 @@ def chain_time_of_flight_s(
     contact_time: float,
     impact_speed_m_per_s: float,
 ) -> float:
-    """Return the time of flight of a chain on a plate: eq. 13 with the stiffnesses of eq. 2."""
+    """Compute the time of flight of a chain on a plate by eq. 13, with stiffnesses of eq. 2, in s."""
     sphere = chain.radius_m, chain.body(0).youngs_modulus_pa, chain.poisson_ratio
     return time_of_flight_s(
         restitution=restitution,
@@ -367,7 +375,7 @@ def chain_time_of_flight_s(
 
 
 def _check_inelasticity(value: float, largest: float, remedy: str) -> None:
-    """Check that the inelasticity lies in the range."""
+    """Check that the inelasticity is within 0 and ``largest``; raise SpecimenError if not."""
     if not 0.0 <= value <= largest:
         raise SpecimenError(
             f"the inelasticity is {value:.6g}; it must lie between 0 and {largest:g}: {remedy}"
@@ -375,13 +383,13 @@ def _check_inelasticity(value: float, largest: float, remedy: str) -> None:
 
 
 def _check_positive(name: str, value: float) -> None:
-    """Check that a value is positive and finite."""
+    """Check that a value is positive and finite; raise ValueError if not."""
     if not 0.0 < value < math.inf:
         raise ValueError(f"{name} is {value}; it must be a finite number greater than 0")
 
 
 def _check_restitution(value: float) -> None:
-    """Check that a restitution lies between 0 and 1."""
+    """Check that a restitution is above 0 and at most 1; raise ValueError if not."""
     # A numerical e of 1 may lie above it by as much as it is known.
     if not 0.0 < value <= 1.0 + AGREEMENT:
         raise ValueError(f"restitution is {value}; it must be greater than 0 and at most 1")

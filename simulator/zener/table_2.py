@@ -38,7 +38,7 @@ class Table2Row:
 
 
 def table_2() -> tuple[Table2Row, ...]:
-    """Return Table 2 of the paper, cases 1 to 5, by the roundings that give its digits.
+    """Compute Table 2 of the paper, cases 1 to 5, with the roundings that give its digits.
 
     The striker's speed is rounded to 2 decimals and used so from there on. Lambda takes spheres and plate
     of 7,800 kg/m3 and nu = 0.28 each. e (eq. 10), tau_c (eq. 12) and ToF (eq. 13) follow from the whole
@@ -51,7 +51,7 @@ def table_2() -> tuple[Table2Row, ...]:
 
 
 def _row(drop_height_m: float) -> Table2Row:
-    """Compute a row of table 2 for a drop height in m."""
+    """Compute one row of Table 2 for a drop height in m."""
     chain = ChainParameters(poisson_ratio=0.28)
     plate = PlateParameters()
     speed = round(math.sqrt(2.0 * FREE_FALL_M_PER_S2 * drop_height_m), 2)

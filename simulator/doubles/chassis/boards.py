@@ -58,12 +58,12 @@ class BoardType:
         return 16 if self.resolution_bits <= 16 else 32
 
     def coerced_rate_hz(self, rate_hz: float) -> float:
-        """Return the next rate at or above the requested one that divides the timebase."""
+        """Return the next sample rate at or above the requested one that divides the timebase, in Hz."""
         divisor = max(int(self.timebase_hz / rate_hz * (1.0 + 1e-12)), 1)
         return self.timebase_hz / divisor
 
     def coerced_range_v(self, reach_v: float) -> float | None:
-        """Return the smallest range that holds the reach, None if none does."""
+        """Return the smallest input range that includes a voltage; None if none does."""
         return next((limit for limit in self.ranges_v if limit >= reach_v * (1.0 - 1e-12)), None)
 
 
@@ -81,12 +81,15 @@ BOARD_TYPES: Mapping[str, BoardType] = {
 
 
 def terminal_of_line(line: str) -> str:
-    """Return the terminal of a digital line: ports 1 and 2 are PFI0 to PFI15, another line is only itself."""
+    """Return the terminal of a digital line.
+
+    Ports 1 and 2 are PFI0 to PFI15; another line is its own terminal.
+    """
     return _PFI_OF_LINE.get(line, line)
 
 
 def terminals(kind: BoardType, name: str) -> tuple[str, ...]:
-    """Return the terminals of a board of this name, as `Dev.Terminals` lists them."""
+    """List the terminals of a board of this name, as `Dev.Terminals` does."""
     counters = [
         f"Ctr{index}{part}"
         for index in range(len(kind.counter_terminals))
@@ -99,7 +102,7 @@ def terminals(kind: BoardType, name: str) -> tuple[str, ...]:
 
 
 def board_calibration(adc: AdcParameters, offset_shift_v: float = 0.0) -> Calibration:
-    """Return the scaling polynomial of a board in one range.
+    """Return the scaling polynomial of a board in one input range.
 
     `offset_shift_v` is the effect of self-calibration.
     """

@@ -60,7 +60,7 @@ class Crosstalk:
     def volts(
         self, pulses: Iterable[tuple[int, int]], first_ns: float, rate_hz: float, samples: int
     ) -> FloatArray:
-        """Return the voltage at the input, shape (samples,).
+        """Compute the crosstalk voltage at the input, shape (samples,).
 
         Parameters
         ----------
@@ -86,7 +86,7 @@ class Crosstalk:
         return volts
 
     def _add(self, volts: FloatArray, since_s: float, rate_hz: float, height_v: float) -> None:
-        """Add the decaying pulse that crosstalk leaves in a record."""
+        """Add the decaying pulse of one edge to volts in place."""
         fading_s = self.decay_s * math.log(max(abs(height_v) / FADED_V, 1.0))
         after, t = _after(volts, since_s, fading_s, rate_hz)
         spike = height_v * np.exp(-t / self.decay_s)
@@ -96,7 +96,7 @@ class Crosstalk:
 def _after(
     volts: FloatArray, since_s: float, length_s: float, rate_hz: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Return the samples within a time after an edge, and the time of each."""
+    """Return a view of the samples within a time after an edge, and each one's time since it in s."""
     first = min(max(math.ceil(since_s * rate_hz), 0), volts.size)
     last = min(max(math.ceil((since_s + length_s) * rate_hz), first), volts.size)
     return volts[first:last], np.arange(first, last) / rate_hz - since_s

@@ -62,7 +62,7 @@ class BoardParameters:
         return BOARD_TYPES[self.product]
 
     def adc(self, record: AdcParameters) -> AdcParameters:
-        """Return the ADC of this board for a record; ValueError where the twin has no such ADC."""
+        """Return the converter of this board for a record; ValueError if the twin has no such converter."""
         return replace(
             record,
             resolution_bits=self.kind.resolution_bits,
@@ -196,17 +196,17 @@ _ADAPTER = TypeAdapter(Description)
 
 
 def to_json(description: Description) -> str:
-    """Return the JSON text of a description."""
+    """Serialize the description of a chassis as JSON."""
     return _ADAPTER.dump_json(description, indent=1).decode()
 
 
 def from_json(text: str) -> Description:
-    """Read a JSON text; pydantic's ValidationError names the wrong key."""
+    """Parse the JSON description of a chassis; pydantic's ValidationError names a wrong key."""
     return _ADAPTER.validate_json(text)
 
 
 def read_description(path: Path) -> Description:
-    """Read a JSON file."""
+    """Read the JSON description of a chassis from a file; errors as of `from_json` and the file."""
     return from_json(path.read_text(encoding="utf-8"))
 
 
@@ -217,12 +217,12 @@ SLOW = BoardParameters(serial_number=0x00C16021, product="PCI-6221", name="Dev1"
 
 
 def _footprint(size_m: float) -> CorrosionParameters:
-    """Return a patch of this size."""
+    """Create a corrosion patch of this size."""
     return CorrosionParameters(size_m=size_m)
 
 
 def default_description(twin: TwinParameters | None = None) -> Description:
-    """Return four boards of different kinds.
+    """Describe a chassis with four boards of different kinds.
 
     The paper's B, C and D each on another one, probe A next to them.
     """

@@ -27,7 +27,7 @@ from simulator.doubles.vendor_api.statuses import Status
 
 
 def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCreateAIVoltageChan`."""
+    """Answer `DAQmxCreateAIVoltageChan`: make an empty task an input task."""
     task.require_empty()
     minimum_v, maximum_v = arguments["min_val"], arguments["max_val"]
     if not minimum_v < maximum_v:
@@ -53,7 +53,7 @@ def create_voltage_channel(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def _change(task: Task, settings: Mapping[str, Any]) -> None:
-    """Store settings of an input task."""
+    """Change settings of an input task; raise Status if it is none or runs."""
     if task.kind != "ai":
         raise Status(
             statuses.NO_CHANNELS if not task.kind else statuses.ATTRIBUTE_NOT_IN_THIS_TASK, task=task.name
@@ -63,7 +63,7 @@ def _change(task: Task, settings: Mapping[str, Any]) -> None:
 
 
 def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCfgSampClkTiming`."""
+    """Answer `DAQmxCfgSampClkTiming`; reject clocks other than the board's own."""
     if short_name(arguments["source"]) not in ("", "onboardclock"):
         detail = "The double samples by the board's own clock only."
         raise statuses.rejected_property(task.name, "SampClk.Src", detail, requested=arguments["source"])
@@ -79,7 +79,7 @@ def configure_sample_clock(bench: Bench, task: Task, arguments: Arguments) -> No
 
 
 def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCfgAnlgEdgeRefTrig`."""
+    """Answer `DAQmxCfgAnlgEdgeRefTrig`: trigger on an analog edge."""
     _change(
         task,
         {
@@ -93,7 +93,7 @@ def configure_reference_trigger(bench: Bench, task: Task, arguments: Arguments) 
 
 
 def disable_reference_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxDisableRefTrig`."""
+    """Answer `DAQmxDisableRefTrig`: record without an analog trigger."""
     _change(task, {"RefTrig.Type": NO_TRIGGER})
 
 
@@ -130,7 +130,7 @@ def _samples(bench: Bench, task: Task, count: int, room: int, timeout_s: float) 
 
 
 def _read(dtype: type[np.integer[Any]], bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """Answer `DAQmxReadBinary..`: raw codes in the requested width."""
+    """Answer `DAQmxReadBinary..` with raw codes; raise Status if the type is too narrow for them."""
     if task.kind != "ai":
         raise Status(statuses.NOT_AN_INPUT_TASK, task=task.name)
     bits, raw_bits = np.dtype(dtype).itemsize * 8, task.device.kind.raw_sample_bits

@@ -117,7 +117,7 @@ class AnalogInput:
     """Analog input as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
-        """Check limits, rate, record and trigger against the board."""
+        """Check limits, rate, record and trigger against the board; raise Status if they do not fit."""
         _ = task.channel.range_v
         rate_hz(task)
         if task.settings.get("SampTimingType") != SAMPLE_CLOCK:
@@ -127,11 +127,11 @@ class AnalogInput:
         _verify_start(bench, task)
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """Return one timing engine per board: its analog input belongs to one task at a time."""
+        """Name the resource that the task needs: the analog input of its board, one task at a time."""
         return (resource(task.device.serial_number, "ai"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
-        """Do nothing: analog input drives no line."""
+        """Program nothing: analog input drives no line."""
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
         """Start sampling now, or at the start trigger."""
@@ -145,17 +145,17 @@ class AnalogInput:
             self.triggered(bench, task, now_ns)
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Start sampling and notify all waiters for this board's start trigger."""
+        """Start sampling after the delay, and fire this board's start trigger for all waiting tasks."""
         task.run.begin_ns = at_ns + round(start_delay_s(task) * NS_PER_S)
         fire_edge(bench, f"/{task.device.name}/ai/StartTrigger", at_ns)
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Discard the acquired samples."""
+        """End the acquisition; its samples can no longer be read."""
         if task.run is not None:
             task.run.ended = True
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """Return when the record is complete, as far as the known strikes determine it."""
+        """Return the time in ns when the record is complete; None while the strikes do not determine it."""
         run: Acquisition = task.run
         if run.done_ns is None and run.begin_ns is not None:
             if _has_reference_trigger(task):
@@ -167,7 +167,7 @@ class AnalogInput:
 
 
 def _simulated_volts(task: Task) -> FloatArray:
-    """Return a full-scale sine wave with 3 % noise, as NI's driver does for a simulated device.
+    """Create the full-scale sine wave with 3 % noise that NI's driver returns for a simulated device.
 
     How fast it is NI does not say: a hundred samples a period are an assumption.
     """
@@ -179,7 +179,7 @@ def _simulated_volts(task: Task) -> FloatArray:
 
 
 def rate_hz(task: Task) -> float:
-    """Return the sample rate that the board takes.
+    """Return the sample rate that the board takes for the requested one, in Hz.
 
     Raises
     ------
@@ -197,7 +197,7 @@ def rate_hz(task: Task) -> float:
 
 
 def start_delay_s(task: Task) -> float:
-    """Return the time from the start trigger to the first sample, in whole ticks of the board's timebase."""
+    """Return the time in s from start trigger to first sample, in whole ticks of the timebase."""
     timebase_hz = task.device.kind.timebase_hz
     return round(float(task.settings.get("StartTrig.Delay", 0.0)) * timebase_hz) / timebase_hz
 
@@ -208,12 +208,12 @@ def record_samples(task: Task) -> int:
 
 
 def _has_reference_trigger(task: Task) -> bool:
-    """Return whether the task records around an analog edge."""
+    """Check whether the task records around an analog edge."""
     return bool(task.settings.get("RefTrig.Type", NO_TRIGGER) == ANALOG_EDGE)
 
 
 def _verify_start(bench: Bench, task: Task) -> None:
-    """Check that the start trigger can reach the board, and the delay after it."""
+    """Check that the start trigger can reach the board, and its delay; raise Status if not."""
     if start_trigger_of(task):
         require_start_route(bench, task)
     if "StartTrig.Delay" not in task.settings:
@@ -231,7 +231,7 @@ def _verify_start(bench: Bench, task: Task) -> None:
 
 
 def _verify_record(task: Task) -> None:
-    """Check that the record is finite and holds the pre-trigger, and that the trigger is a task's channel."""
+    """Check that the record is finite, holds the pre-trigger and triggers on its channel."""
     settings = task.settings
     if settings.get("SampQuant.SampMode", FINITE) != FINITE:
         raise statuses.rejected_property(
@@ -261,7 +261,7 @@ def _verify_record(task: Task) -> None:
 
 
 def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcParameters:
-    """Return the parameters of the converter that a task has configured."""
+    """Return the parameters of the converter as a task has configured it."""
     record = AdcParameters(
         range_v=task.channel.range_v,
         sample_rate_hz=rate_hz(task),
@@ -273,7 +273,7 @@ def _adc(task: Task, pretrigger_samples: int, trigger_level_v: float) -> AdcPara
 
 
 def _look_for_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
-    """Find the first trigger: hardware ignores triggers before the pre-trigger is full."""
+    """Find the first trigger and store its record; edges before the pre-trigger is full are ignored."""
     assert run.begin_ns is not None
     filled_ns = run.begin_ns + round(_pretrigger(task) / rate_hz(task) * NS_PER_S)
     found = _first_wave(bench, task, run, filled_ns)
@@ -288,19 +288,22 @@ def _look_for_trigger(bench: Bench, task: Task, run: Acquisition) -> None:
 
 
 def _pretrigger(task: Task) -> int:
-    """Return the number of samples before the trigger."""
+    """Return the configured number of samples before the trigger."""
     return int(task.settings["RefTrig.PretrigSamples"])
 
 
 def _after_trigger_ns(task: Task) -> int:
-    """Return the time from the trigger to the end of the record, ns."""
+    """Return the time from the trigger to the end of the record in ns."""
     return round((record_samples(task) - _pretrigger(task)) / rate_hz(task) * NS_PER_S)
 
 
 def _first_wave(
     bench: Bench, task: Task, run: Acquisition, filled_ns: int
 ) -> tuple[Strike, Acquired, int] | None:
-    """Find the first strike whose wave crosses the level, its record and the time of the crossing."""
+    """Find the first strike whose wave crosses the level; None if there is none.
+
+    Return the strike, its record and the time of the crossing in ns.
+    """
     position = _position(bench, task.channel)
     for strike in bench.strikes.planned:
         if strike.key.position != position or strike in run.seen:
@@ -324,7 +327,7 @@ def _first_wave(
 
 
 def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wave_ns: int | None) -> bool:
-    """Return a record that crosstalk or hum triggers before the wave does, if there is one.
+    """Store a record that crosstalk or hum triggers before the wave; return whether there is one.
 
     The comparator sees the same noise as the record that follows.
     """
@@ -362,7 +365,10 @@ def _false_trigger(bench: Bench, task: Task, run: Acquisition, position: str, wa
 
 
 def recorded_codes(bench: Bench, task: Task) -> Counts | None:
-    """Return the codes of a finished record; without a trigger, of the present input."""
+    """Return the codes of a finished record; None if there is none.
+
+    Without a reference trigger, they are those of the present input.
+    """
     run: Acquisition = task.run
     if run.codes is not None or run.begin_ns is None or _has_reference_trigger(task):
         return run.codes
@@ -376,7 +382,7 @@ def recorded_codes(bench: Bench, task: Task) -> Counts | None:
 
 
 def _position(bench: Bench, channel: InputChannel) -> str | None:
-    """Return the position whose sensor is wired to this input."""
+    """Return the position whose sensor is wired to this input; None if none is."""
     wanted = (channel.device.serial_number, channel.number)
     for position, wiring in bench.description.transducers.items():
         if (wiring.ai_serial, wiring.ai_channel) == wanted:
@@ -385,7 +391,7 @@ def _position(bench: Bench, channel: InputChannel) -> str | None:
 
 
 def search_again(bench: Bench, strike: Strike, now_ns: int) -> None:
-    """Search again for the trigger of a record whose strike was cut short or cancelled."""
+    """Discard the trigger of records whose strike was cut short or cancelled, to find another."""
     for task in bench.tasks.values():
         run = task.run
         if isinstance(run, Acquisition):
@@ -395,7 +401,7 @@ def search_again(bench: Bench, strike: Strike, now_ns: int) -> None:
 
 
 def correct_started_tasks(bench: Bench, terminal: str, pulse: Pulse, now_ns: int) -> None:
-    """Correct the tasks that depend on an edge of a pulse that ends early."""
+    """Correct tasks that were started by an edge of a pulse that ends early."""
     for task in bench.tasks.values():
         run = task.run
         if not isinstance(run, Acquisition) or run.ended or start_trigger_of(task) != short_name(terminal):

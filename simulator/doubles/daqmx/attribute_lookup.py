@@ -14,7 +14,7 @@ Subject = TypeVar("Subject")
 
 
 def _attribute_of(arguments: Arguments, family: str) -> Attribute:
-    """Return the attribute of a call; raise Status for an unknown one."""
+    """Return the attribute that a call names; raise Status if its family has no such attribute."""
     found = ATTRIBUTES.get(arguments["attribute"])
     if found is None or found.family != family:
         raise Status(
@@ -26,7 +26,7 @@ def _attribute_of(arguments: Arguments, family: str) -> Attribute:
 def look_up(
     values: Mapping[str, Callable[[Subject], object]], arguments: Arguments, family: str, subject: Subject
 ) -> Answer:
-    """Return the value of an attribute; raise Status if this kind of subject has none."""
+    """Answer a call with the value of an attribute; raise Status if the subject has none."""
     name = _attribute_of(arguments, family).name
     if name not in values:
         raise Status(statuses.ATTRIBUTE_NOT_SUPPORTED, f"Property: {name}")
@@ -34,12 +34,15 @@ def look_up(
 
 
 def listed(items: Iterable[str]) -> str:
-    """Join names as NI does."""
+    """Join names with commas, as NI's driver does."""
     return ", ".join(items)
 
 
 def settable(task: Task, arguments: Arguments, family: str) -> str:
-    """Return the name of the attribute that a call may set now."""
+    """Return the name of the attribute that a call sets.
+
+    Raise Status if it is read-only or the task runs.
+    """
     attribute = _attribute_of(arguments, family)
     if not attribute.settable:
         raise Status(statuses.ATTRIBUTE_NOT_SETTABLE, f"Property: {attribute.name}", task=task.name)

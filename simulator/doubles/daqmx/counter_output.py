@@ -67,7 +67,7 @@ class CounterOutput:
     """Pulse generation as a `tasks.TaskKind`."""
 
     def verify(self, bench: Bench, task: Task) -> None:
-        """Check the times against the counter: at least two ticks, at most its width."""
+        """Check the pulse times against the counter: at least two ticks, at most its width."""
         longest_s = (2**COUNTER_BITS - 1) / TIMEBASE_HZ
         for name, time_s, shortest_s in (
             ("CO.Pulse.Time.InitialDelay", task.channel.initial_delay_s, 0.0),
@@ -79,7 +79,7 @@ class CounterOutput:
                 )
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """Reserve the counter, and the pin it drives."""
+        """Name the resources that the task needs: the counter and the pin that it drives."""
         channel: PulseChannel = task.channel
         parts = (f"ctr{channel.number}", channel.pin)
         return tuple(resource(channel.device.serial_number, part) for part in parts)
@@ -89,7 +89,7 @@ class CounterOutput:
         bench.lines.drive(task.channel.line, 0, bench.settle(), "idle")
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Start counting now, or at the start trigger."""
+        """Start counting now or at the start trigger; raise Status after the watchdog has expired."""
         for watch in bench.tasks.values():
             mine = watch.kind == "watchdog" and watch.is_on(task.device.serial_number)
             if mine and watch.run is not None and watch.run.expired_ns is not None:
@@ -100,7 +100,7 @@ class CounterOutput:
             self.triggered(bench, task, now_ns)
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
-        """Plan the pulse and the strike that it leads to."""
+        """Plan the pulse that follows a trigger, and the strike that it causes."""
         run: Generation = task.run
         channel: PulseChannel = task.channel
         if channel.device.parameters.simulated:  # done at once, and no line moves
@@ -116,7 +116,7 @@ class CounterOutput:
         bench.changed.notify_all()
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Take the line low; a lifted striker falls now."""
+        """Set the line low, end the pulse, and drop a lifted striker now."""
         run: Generation | None = task.run
         if run is None:
             return
@@ -127,12 +127,12 @@ class CounterOutput:
             run.pulse = replace(run.pulse, end_ns=now_ns)
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """Return when the pulse ends."""
+        """Return the time in ns when the pulse ends; None before its trigger."""
         return None if task.run.pulse is None else int(task.run.pulse.end_ns)
 
 
 def cut(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
-    """Disconnect a pin from its counter, which counts on, so that the task is done at its planned time."""
+    """Disconnect a pin from its counter, which continues to count; a lifted striker falls now."""
     run: Generation = task.run
     bench.lines.cut(task.channel.line, level, now_ns, cause)
     strike, run.strike = run.strike, None
@@ -144,12 +144,12 @@ def cut(bench: Bench, task: Task, level: int, now_ns: int, cause: str) -> None:
 
 
 def _ns(time_s: float) -> int:
-    """Return a time in whole ticks of the counter's timebase."""
+    """Round a time in s to whole ticks of the counter's timebase, in ns."""
     return round(time_s * TIMEBASE_HZ) * round(NS_PER_S / TIMEBASE_HZ)
 
 
 def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
-    """Return the strike of a pulse: the striker is held while the coil's line is high."""
+    """Plan the strike of a pulse, which holds the striker; None if no coil is wired to the pin."""
     if channel.pin != channel.device.kind.counter_terminals[channel.number]:
         # The coil hangs at the counter's own pin; a pulse sent elsewhere moves nothing.
         return None
@@ -160,7 +160,7 @@ def _strike(bench: Bench, channel: PulseChannel, pulse: Pulse) -> Strike | None:
 
 
 def create_pulse_channel(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCreateCOPulseChanTime`."""
+    """Answer `DAQmxCreateCOPulseChanTime`: make an empty task a pulse task."""
     task.require_empty()
     device, number = bench.devices.channel(arguments["counter"], "ctr")
     if arguments["idle_state"] != LOW:

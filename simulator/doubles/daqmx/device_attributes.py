@@ -43,17 +43,17 @@ _CALIBRATION: Mapping[str, Callable[[Device], object]] = {
 
 
 def get_system(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetSystemInfoAttribute`."""
+    """Answer `DAQmxGetSystemInfoAttribute` with an attribute of driver or chassis."""
     return look_up(_SYSTEM, arguments, "SystemInfo", bench)
 
 
 def get_device(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetDeviceAttribute`."""
+    """Answer `DAQmxGetDeviceAttribute` with an attribute of the named board."""
     return look_up(_DEVICE, arguments, "Device", bench.devices.find(arguments["device_name"]))
 
 
 def get_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetCalInfoAttribute`."""
+    """Answer `DAQmxGetCalInfoAttribute` with calibration data of the named board."""
     return look_up(_CALIBRATION, arguments, "CalInfo", bench.devices.find(arguments["device_name"]))
 
 

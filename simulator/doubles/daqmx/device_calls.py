@@ -16,7 +16,7 @@ POWER_UP_HIGH, POWER_UP_LOW, POWER_UP_TRISTATE = 10192, 10214, 10310
 
 
 def _require_present(bench: Bench, name: str) -> Device:
-    """Return the board for an operation on the hardware itself; a removed one is absent (-200324)."""
+    """Return a board by name; raise Status -200324 if it has been removed."""
     try:
         return bench.devices.find(name)
     except Status as status:
@@ -26,7 +26,7 @@ def _require_present(bench: Bench, name: str) -> Device:
 
 
 def _take_from_tasks(bench: Bench, device: Device, status: int, cause: str) -> None:
-    """Take a board away from its tasks and set its lines low."""
+    """Remove a board from all its tasks with a status; release it and set its lines low."""
     for task in tuple(bench.tasks.values()):
         if task.is_on(device.serial_number) and not task.lost:
             tasks.lose(bench, task, status, cause)
@@ -38,7 +38,7 @@ def _take_from_tasks(bench: Bench, device: Device, status: int, cause: str) -> N
 
 
 def reset(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxResetDevice`: tasks lose the board, its lines go low, its routes are removed."""
+    """Answer `DAQmxResetDevice`: its tasks are lost, its lines go low, its routes are removed."""
     device = _require_present(bench, arguments["device_name"])
     _take_from_tasks(bench, device, statuses.DEVICE_ABORTED, "reset")
     own = f"{device.name.casefold()}/"
@@ -46,7 +46,7 @@ def reset(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxSelfCal`: only while no task holds the board."""
+    """Answer `DAQmxSelfCal`; raise Status while a task holds the board."""
     device = _require_present(bench, arguments["device_name"])
     for holder in bench.reservations.holders_of_board(device.serial_number):
         raise Status(
@@ -57,7 +57,7 @@ def self_calibrate(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetSelfCalLastDateAndTime`, for a simulated device as NI's driver does."""
+    """Answer `DAQmxGetSelfCalLastDateAndTime`; raise Status for a simulated device, as NI does."""
     device = bench.devices.find(arguments["device_name"])
     if device.parameters.simulated:
         raise Status(statuses.INVALID_VALUE, f"Device: {device.name} is simulated and has no calibration.")
@@ -66,7 +66,7 @@ def last_self_calibration(bench: Bench, client: str, arguments: Arguments) -> An
 
 
 def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
-    """Return the lines of a device by their names in a call."""
+    """Return a board's digital lines by their names in a call; raise Status for an unknown one."""
     known = {f"{device.name}/{line}".casefold(): line for line in device.kind.digital_lines}
     found = []
     for name in names.splitlines():
@@ -77,7 +77,7 @@ def _power_up_lines(bench: Bench, device: Device, names: str) -> list[str]:
 
 
 def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxSetDigitalPowerUpStates`."""
+    """Answer `DAQmxSetDigitalPowerUpStates`; raise Status for an unknown line or state."""
     device = bench.devices.find(arguments["device_name"])
     lines = _power_up_lines(bench, device, arguments["channel_names"])
     states = [int(state) for state in arguments["state"]]
@@ -88,14 +88,14 @@ def set_power_up_states(bench: Bench, client: str, arguments: Arguments) -> None
 
 
 def get_power_up_states(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetDigitalPowerUpStates`."""
+    """Answer `DAQmxGetDigitalPowerUpStates`; a line without a stored state is tristate."""
     device = bench.devices.find(arguments["device_name"])
     lines = _power_up_lines(bench, device, arguments["channel_names"])
     return {"state": [device.power_up_states.get(line, POWER_UP_TRISTATE) for line in lines]}
 
 
 def unplug(bench: Bench, serial_number: int) -> None:
-    """Remove a board: its tasks are lost, its lines go low."""
+    """Remove a board from the chassis: its tasks are lost, its lines go low."""
     _take_from_tasks(bench, bench.devices.by_serial(serial_number), statuses.DEVICE_REMOVED, "unplug")
     bench.devices.unplug(serial_number)
     bench.changed.notify_all()

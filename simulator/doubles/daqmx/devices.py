@@ -46,12 +46,12 @@ class Device:
         return 0.0 if self.parameters.simulated else self.parameters.temperature_c
 
     def calibration(self, range_v: float) -> Calibration:
-        """Return the present scaling polynomial in one range."""
+        """Return the board's present scaling polynomial in one input range."""
         adc = self.parameters.adc(AdcParameters(range_v=range_v, trigger_level_v=0.5 * range_v))
         return board_calibration(adc, self.offset_shift_v)
 
     def self_calibrate(self, now: datetime) -> None:
-        """Adjust to the board's temperature: the polynomial changes slightly."""
+        """Calibrate at the board's present temperature, which shifts the offset slightly."""
         self.calibrated = now
         self.calibration_temperature_c = self.temperature_c
         self.offset_shift_v += self.parameters.self_calibration_shift_v
@@ -72,7 +72,7 @@ class Devices:
         return tuple(device for device in self if device.plugged)
 
     def by_serial(self, serial_number: int) -> Device:
-        """Return a board by serial number; KeyError if there is none."""
+        """Return a board by serial number; raise KeyError if there is none."""
         return self._devices[serial_number]
 
     def find(self, name: str) -> Device:
@@ -92,18 +92,18 @@ class Devices:
         raise Status(code, f"Device Specified: {name}")
 
     def unplug(self, serial_number: int) -> None:
-        """Remove a board; its name stays in NI MAX."""
+        """Mark a board as removed; its name stays in NI MAX."""
         self.by_serial(serial_number).plugged = False
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a board in again, usually under another name."""
+        """Plug a removed board in again, under another name if one is given."""
         device = self.by_serial(serial_number)
         self._former_names.add(device.name.casefold())
         device.name = name or device.name
         device.plugged = True
 
     def channel(self, text: str, part: str) -> tuple[Device, int]:
-        """Return board and number of a physical channel like ``Dev1/ai0``.
+        """Parse a physical channel like ``Dev1/ai0`` into board and number.
 
         Raises
         ------
@@ -123,7 +123,7 @@ class Devices:
         return device, int(number)
 
     def lines(self, text: str) -> list[tuple[Device, str]]:
-        """Return boards and digital lines of names like ``Dev1/port2/line4:6, Dev1/port1/line0``.
+        """Parse names of digital lines like ``Dev1/port2/line4:6, Dev1/port1/line0``.
 
         Raises
         ------
@@ -150,6 +150,6 @@ class Devices:
 
 
 def _numbers(first: int, last: int) -> range:
-    """Return the numbers of a range of names, up or down, its end included."""
+    """Return the numbers from first to last, rising or falling, both included."""
     step = 1 if last >= first else -1
     return range(first, last + step, step)

@@ -60,21 +60,21 @@ class LineRecord:
         self._events.clear()
 
     def level(self, line: str) -> int:
-        """Return the present level; a line never driven is low."""
+        """Return the present level of a line, 0 or 1; one that was never driven is low."""
         return self._levels.get(line, 0)
 
     def drive(self, line: str, level: int, ns: int, cause: str) -> None:
-        """Set a level and record a change."""
+        """Drive a line to a level at once, and record a change with its cause."""
         if self.level(line) != level:
             self._levels[line] = level
             self._events.append(LineEvent(line=line, level=level, ns=ns, cause=cause))
 
     def start(self, pulse: Pulse) -> None:
-        """Plan a pulse; a line carries one at a time."""
+        """Schedule both edges of a pulse, which replaces an earlier pulse of its line."""
         self._edges[pulse.line] = [(pulse.start_ns, 1), (pulse.end_ns, 0)]
 
     def settle(self, now_ns: int) -> None:
-        """Record every edge that is due, for all lines in order of time."""
+        """Record every edge that is due by ``now_ns``, of all lines in order of time."""
         while self._edges:
             line = min(self._edges, key=lambda name: self._edges[name][0])
             ns, level = self._edges[line][0]
@@ -86,6 +86,6 @@ class LineRecord:
                 del self._edges[line]
 
     def cut(self, line: str, level: int, ns: int, cause: str) -> None:
-        """End a pulse at a time already settled and leave the line at a level."""
+        """Cancel the pending edges of a line and drive it to a level."""
         self._edges.pop(line, None)
         self.drive(line, level, ns, cause)

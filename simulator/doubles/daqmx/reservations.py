@@ -29,7 +29,7 @@ class Reservations:
         return dict(self._held)
 
     def take(self, resources: Iterable[str], holder: Holder) -> None:
-        """Reserve all of them or none.
+        """Reserve all of the resources or none.
 
         Raises
         ------
@@ -51,28 +51,28 @@ class Reservations:
         self._held.update(dict.fromkeys(wanted, holder))
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Reserve for an outside program, replacing the holder."""
+        """Reserve a resource for another process, replacing the present holder."""
         self._held[resource] = Holder(client="another process", task=owner)
 
     def release(self, holder: Holder) -> None:
-        """Release everything of one holder."""
+        """Release all resources of one holder."""
         self._held = {resource: other for resource, other in self._held.items() if other != holder}
 
     def release_board(self, serial_number: int) -> None:
-        """Release everything on one board, as its reset does."""
+        """Release all resources of one board, as its reset does."""
         held = self._held.items()
         self._held = {name: holder for name, holder in held if board_of(name) != serial_number}
 
     def holders_of_board(self, serial_number: int) -> tuple[Holder, ...]:
-        """Return all holders of parts of one board."""
+        """Return the holder of each reserved resource of one board."""
         return tuple(holder for name, holder in self._held.items() if board_of(name) == serial_number)
 
 
 def resource(serial_number: int, part: str) -> str:
-    """Return the name of one part of one board."""
+    """Format the name of one part of a board, ``<serial number>/<part>``."""
     return f"{serial_number}/{part}"
 
 
 def board_of(name: str) -> int:
-    """Return the serial number of a resource or line."""
+    """Parse the board's serial number from the name of a resource or line."""
     return int(name.partition("/")[0])

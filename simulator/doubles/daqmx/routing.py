@@ -20,19 +20,19 @@ INTERNAL_OUTPUT = "internaloutput"
 
 
 def short_name(terminal: str) -> str:
-    """Return the form of a terminal for comparison: no leading slash, lower case."""
+    """Normalize a terminal's name for comparison: lower case, without the leading slash."""
     return terminal.strip().lstrip("/").casefold()
 
 
 def start_trigger_of(task: Task) -> str:
-    """Return the terminal whose edge starts the task, empty if it starts at once."""
+    """Return the terminal whose edge starts the task; empty if it starts at once."""
     if task.settings.get("StartTrig.Type", NO_TRIGGER) != DIGITAL_EDGE:
         return ""
     return short_name(str(task.settings["DigEdge.StartTrig.Src"]))
 
 
 def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> None:
-    """Start the tasks that wait for this edge at a terminal, also along routes and the backplane's lines."""
+    """Start all tasks that wait for this edge at a terminal, also across routes and the backplane."""
     reached = {short_name(terminal)}
     while True:
         onward = {destination for destination, source in bench.routes.items() if _same(source, reached)}
@@ -50,7 +50,7 @@ def fire_edge(bench: Bench, terminal: str, at_ns: int, edge: int = RISING) -> No
 
 
 def _same(terminal: str, reached: set[str]) -> bool:
-    """Return whether a terminal is among those reached; lines of the backplane are shared."""
+    """Check whether a terminal is among those reached; backplane lines are shared by all boards."""
     if terminal in reached:
         return True
     # The lines of the backplane are common to all boards of a chassis.
@@ -59,7 +59,7 @@ def _same(terminal: str, reached: set[str]) -> bool:
 
 
 def _known(bench: Bench, terminal: str) -> bool:
-    """Return whether any present board has the terminal."""
+    """Check whether any board that is plugged in has the terminal."""
     name = short_name(terminal)
     return any(
         name == short_name(known)
@@ -69,7 +69,7 @@ def _known(bench: Bench, terminal: str) -> bool:
 
 
 def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCfgDigEdgeStartTrig`."""
+    """Answer `DAQmxCfgDigEdgeStartTrig`: start the task at a digital edge."""
     tasks.changed(task)
     source = arguments["trigger_source"]
     device = source.strip().lstrip("/").partition("/")[0]
@@ -89,7 +89,7 @@ def configure_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> N
 
 
 def require_start_route(bench: Bench, task: Task) -> None:
-    """Check that the edge an input task waits for can reach it.
+    """Check that the edge which starts an input task can reach its board.
 
     Raises
     ------
@@ -111,18 +111,18 @@ def require_start_route(bench: Bench, task: Task) -> None:
 
 
 def _chassis(name: str) -> str:
-    """Return the chassis in a board's usual name: `PXI1Slot3` is in `pxi1`."""
+    """Return the chassis in a board's usual name: `pxi1` for `PXI1Slot3`."""
     return name.casefold().partition("slot")[0]
 
 
 def disable_start_trigger(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxDisableStartTrig`."""
+    """Answer `DAQmxDisableStartTrig`: start the task at once."""
     tasks.changed(task)
     task.settings["StartTrig.Type"] = NO_TRIGGER
 
 
 def connect(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxConnectTerms`."""
+    """Answer `DAQmxConnectTerms`; raise Status for an unknown or connected terminal."""
     source, destination = arguments["source_terminal"], arguments["destination_terminal"]
     if not _known(bench, source):
         raise Status(statuses.INVALID_SOURCE_TERMINAL, f"Source Terminal: {source}")
@@ -137,14 +137,14 @@ def connect(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def disconnect(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxDisconnectTerms`; harmless where there is no route."""
+    """Answer `DAQmxDisconnectTerms`; do nothing if there is no such route."""
     destination = short_name(arguments["destination_terminal"])
     if bench.routes.get(destination) == short_name(arguments["source_terminal"]):
         del bench.routes[destination]
 
 
 def tristate(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Answer `DAQmxTristateOutputTerm`: the board stops driving a terminal that is part of no route."""
+    """Answer `DAQmxTristateOutputTerm`: stop driving a terminal; raise Status if a route uses it."""
     terminal = short_name(arguments["output_terminal"])
     if not _known(bench, terminal):
         raise Status(statuses.INVALID_DESTINATION_TERMINAL, f"Terminal: {arguments['output_terminal']}")
@@ -158,7 +158,7 @@ def tristate(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def export(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxExportSignal`: the start or reference trigger of an input task at a terminal."""
+    """Answer `DAQmxExportSignal`: connect an input task's start or reference trigger to a terminal."""
     tasks.changed(task)
     ends = {START_TRIGGER_SIGNAL: "StartTrigger", REFERENCE_TRIGGER_SIGNAL: "ReferenceTrigger"}
     signal = arguments["signal_id"]

@@ -75,7 +75,7 @@ class Strikes:
         return tuple(strike for strike in self._planned if not strike.cancelled)
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Set the shot of the next strike, or pulse-echo record, at the key's position.
+        """Set set, shot and hour of the next strike, or pulse-echo record, at the key's position.
 
         Raises
         ------
@@ -89,7 +89,7 @@ class Strikes:
         self._hour_h = hour_h
 
     def next_echo(self, position: str) -> tuple[ShotKey, float]:
-        """Return key and hour of the next pulse-echo record at a position."""
+        """Return key and hour of the next pulse-echo record: announced, or the next in the count."""
         announced = self._announced.pop(position, None)
         if announced is not None:
             return announced
@@ -98,7 +98,7 @@ class Strikes:
         return ShotKey(position=position, set_index=index, shot_index=0), self._hour_h
 
     def plan(self, position: str, lifted_ns: int, released_ns: int) -> Strike | None:
-        """Plan the striker's fall; None if the pulse is too short to lift it."""
+        """Plan a strike from the coil's pulse; None if the pulse is too short to lift the striker."""
         lift_s = self._description.transducers[position].lift_s
         if released_ns - lifted_ns < round(lift_s * NS_PER_S):
             # Nothing falls, but the coil was switched, which its sensor hears.
@@ -129,7 +129,10 @@ class Strikes:
         return strike
 
     def cut(self, strike: Strike, ns: int) -> None:
-        """Switch the coil off early at `ns`: the striker falls now, or never rose."""
+        """Switch the coil off early at `ns`: the striker falls now, or the strike is cancelled.
+
+        It is cancelled if the striker had not been lifted yet.
+        """
         if strike.released_ns <= ns:
             return
         lift_s = self._description.transducers[strike.key.position].lift_s
@@ -145,19 +148,19 @@ class Strikes:
             self._counted[position] -= 1
 
     def _counted_key(self, position: str) -> ShotKey:
-        """Return the key of the next strike at a position, counted from the start."""
+        """Return the key of the next strike at a position that was not announced, by counting."""
         index = self._counted.get(position, 0)
         self._counted[position] = index + 1
         set_index, shot_index = divmod(index, self._description.shots_per_set)
         return ShotKey(position=position, set_index=set_index, shot_index=shot_index)
 
     def _fall_ns(self, key: ShotKey, hour_h: float) -> int:
-        """Return how long the striker falls, ns."""
+        """Return how long the striker of a shot falls, in ns."""
         height_m = self.specimen.strike(key, hour_h).drop_height_m
         return round(math.sqrt(2.0 * height_m / FALL_ACCELERATION_M_PER_S2) * NS_PER_S)
 
     def record(self, strike: Strike, adc: AdcParameters, calibration: Calibration) -> Acquired | None:
-        """Compute a board's record of a strike; None if it does not reach the trigger level.
+        """Simulate a board's record of a strike; None if it does not reach the trigger level.
 
         Raises
         ------
@@ -167,6 +170,7 @@ class Strikes:
         crosstalk, pulses = self.crosstalk(strike.key.position), self.coil_pulses(strike.key.position)
 
         def stray(first_s: float, rate_hz: float, samples: int) -> FloatArray:
+            """Compute the coil's crosstalk in volts, with times from the striker's contact."""
             return crosstalk.volts(pulses, strike.contact_ns + first_s * NS_PER_S, rate_hz, samples)
 
         disturbed = replace(self.specimen, stray=None if crosstalk.silent else stray)
@@ -175,7 +179,7 @@ class Strikes:
     def _through_board(
         self, specimen: Specimen, strike: Strike, adc: AdcParameters, calibration: Calibration
     ) -> Acquired | None:
-        """Return the record of a strike as the board samples it."""
+        """Simulate a strike's record with the converter of a board; None without a trigger."""
         twin = replace(specimen.twin, adc=adc)
         through_board = replace(specimen, twin=twin, adc_calibration=calibration)
         return through_board.solitary_wave(strike.key, strike.hour_h)
@@ -183,7 +187,7 @@ class Strikes:
     def free_volts(
         self, key: ShotKey, first_ns: int, adc: AdcParameters, calibration: Calibration
     ) -> FloatArray:
-        """Return the untriggered voltage at a sensor's input, shape (record_samples,).
+        """Simulate the untriggered voltage at a sensor's input, shape (record_samples,).
 
         Noise if it is on, the waves of strikes as far as a usual record shows them, and crosstalk.
         """
@@ -213,15 +217,15 @@ class Strikes:
         return volts
 
     def crosstalk(self, position: str) -> Crosstalk:
-        """Return what the coil at a position couples into its sensor; silent where there is none."""
+        """Return the crosstalk from the coil at a position into its sensor; silent if none is set."""
         return self._crosstalk.get(position, Crosstalk())
 
     def disturb(self, position: str, crosstalk: Crosstalk) -> None:
-        """Set the crosstalk of the coil at a position from now on."""
+        """Set the crosstalk from the coil at a position into its sensor from now on."""
         self._crosstalk[position] = crosstalk
 
     def coil_pulses(self, position: str) -> list[tuple[int, int]]:
-        """Return when the coil at a position is switched on and off."""
+        """Return when the coil at a position is switched on and off, in ns."""
         return [
             (strike.lifted_ns, strike.released_ns)
             for strike in self._planned
@@ -229,7 +233,10 @@ class Strikes:
         ]
 
     def warm_up(self) -> None:
-        """Compute one shot per position, so that no later one waits for a compiler or a plate."""
+        """Compute one shot per position, so that no later one waits for a compiler or a plate.
+
+        Log a warning for a position that cannot be computed.
+        """
         for position in self.specimen.transducers:
             key = ShotKey(position=position, set_index=0, shot_index=0)
             try:
@@ -240,14 +247,14 @@ class Strikes:
 
 
 def _insert_wave(volts: FloatArray, wave: FloatArray, at: int) -> None:
-    """Insert a wave, with its own noise, into a longer record as far as it fits."""
+    """Write a wave, with its own noise, over part of a longer record, as far as it fits."""
     first, last = max(at, 0), min(at + wave.size, volts.size)
     if first < last:
         volts[first:last] = wave[first - at : last - at]
 
 
 def _specimen(description: Description) -> Specimen:
-    """Build the specimen of the described chassis."""
+    """Build the specimen of a described chassis."""
     transducers = {
         position: Transducer(
             chain=wiring.chain,

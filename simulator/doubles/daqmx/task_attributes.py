@@ -18,12 +18,12 @@ Values = Mapping[str, Callable[[Task], object]]
 
 
 def _setting(name: str, default: float | str) -> Callable[[Task], object]:
-    """Return the stored setting, or the driver's default."""
+    """Create a function that returns a task's setting, or the driver's default."""
     return lambda task: task.settings.get(name, default)
 
 
 def _terminal(name: str) -> Callable[[Task], object]:
-    """Return a function that names a terminal of a task's board."""
+    """Create a function that returns the full name of an input terminal of a task's board."""
     return lambda task: f"/{task.device.name}/ai/{name}"
 
 
@@ -56,7 +56,7 @@ _TRIGGER: Values = {
 
 
 def _get(family: str, values: Values, bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGet<family>Attribute`."""
+    """Answer `DAQmxGet<family>Attribute`; raise Status if the task has no such attribute."""
     if family != "Task":
         _require_channels(task)
     if family == "Timing" and task.kind == "co":
@@ -67,7 +67,7 @@ def _get(family: str, values: Values, bench: Bench, task: Task, arguments: Argum
 
 
 def _set(family: str, bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxSet<family>Attribute`."""
+    """Answer `DAQmxSet<family>Attribute`; raise Status while the task runs."""
     _require_channels(task)
     name = settable(task, arguments, family)
     tasks.changed(task)
@@ -75,20 +75,20 @@ def _set(family: str, bench: Bench, task: Task, arguments: Arguments) -> None:
 
 
 def _require_channels(task: Task) -> None:
-    """Raise the driver's status if the task cannot have channels."""
+    """Check that the task can have channels; raise Status for a watchdog or an empty task."""
     if task.kind not in ("ai", "co"):
         raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task has no channels.", task=task.name)
 
 
 def _has_expired(task: Task) -> int:
-    """Return whether the watchdog has expired; the task must be reserved."""
+    """Return 1 if the watchdog has expired, else 0; raise Status if the task is not reserved."""
     if task.state < TaskState.RESERVED:
         raise Status(statuses.PROPERTY_NEEDS_RESERVED_TASK, "Property: Watchdog.HasExpired", task=task.name)
     return int(task.run is not None and task.run.expired_ns is not None)
 
 
 def get_watchdog(bench: Bench, task: Task, arguments: Arguments) -> Answer:
-    """Answer `DAQmxGetWatchdogAttribute`."""
+    """Answer `DAQmxGetWatchdogAttribute`; raise Status if the task is no watchdog."""
     if task.kind != "watchdog":
         raise Status(statuses.ATTRIBUTE_NOT_IN_THIS_TASK, "The task is no watchdog.", task=task.name)
     bench.settle()

@@ -11,22 +11,22 @@ from simulator.doubles.vendor_api.statuses import Status
 
 
 def _set_runtime_environment(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Do nothing: the caller's language does not matter."""
+    """Accept `DAQmxSetRuntimeEnvironment` without effect: the caller's language does not matter."""
 
 
 def _error_string(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Return the text of a status."""
+    """Answer `DAQmxGetErrorString` with the text of a status code."""
     code = arguments["error_code"]
     return {"error_string": statuses.TEXTS.get(code, f"Status {code} is not one of the double's own.")}
 
 
 def _create_task(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Create a task for a client."""
+    """Create a task for a client and return its handle."""
     return {"task": tasks.create(bench, client, arguments["session_name"]).handle}
 
 
 def _clear_task(bench: Bench, client: str, arguments: Arguments) -> None:
-    """Clear a task; a lost one never fails."""
+    """Stop and remove a task; one that lost its board is removed without an error."""
     task = bench.tasks.get(arguments["task"])
     if task is not None and task.client == client and task.lost:
         # Clearing is how a lost task is got rid of: it never fails for the loss.
@@ -36,27 +36,27 @@ def _clear_task(bench: Bench, client: str, arguments: Arguments) -> None:
 
 
 def _last_created_channel(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Return the name of the channel that the client created last."""
+    """Return the name of the channel that the client created last; empty if there is none."""
     return {"value": bench.last_channel.get(client, "")}
 
 
 def _control(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Change the state of a task as requested."""
+    """Answer `DAQmxTaskControl`: move a task to the requested state."""
     tasks.control(bench, task, arguments["action"])
 
 
 def _start(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Start a task."""
+    """Answer `DAQmxStartTask`; raise Status if the task does not fit the board or the board is reserved."""
     tasks.start(bench, task)
 
 
 def _stop(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Stop a task."""
+    """Answer `DAQmxStopTask`; a task that was not done causes a warning."""
     tasks.stop(bench, task)
 
 
 def _wait_until_done(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Wait until a task is done, or raise the status of a timeout."""
+    """Answer `DAQmxWaitUntilTaskDone`; raise Status after the timeout."""
     timeout_s = arguments["time_to_wait"]
     late = Status(statuses.NOT_DONE_IN_TIME, f"Time to wait: {timeout_s} s", task=task.name)
     tasks.wait(bench, task, timeout_s, late)

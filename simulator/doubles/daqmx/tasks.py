@@ -49,11 +49,11 @@ class Clock(Protocol):
     """Wall clock of the boards; tests replace it."""
 
     def now_ns(self) -> int:
-        """Return monotonic time."""
+        """Return the monotonic time in ns."""
         ...
 
     def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
-        """Wait on the condition, which the caller holds, at most until a time."""
+        """Wait on a condition, which the caller holds, at most until a monotonic time in ns."""
         ...
 
 
@@ -61,11 +61,11 @@ class WallClock:
     """Clock with the machine's monotonic time."""
 
     def now_ns(self) -> int:
-        """Return monotonic time."""
+        """Return the system's monotonic time in ns."""
         return time.monotonic_ns()
 
     def wait(self, changed: threading.Condition, until_ns: int | None) -> None:
-        """Wait on the condition, at most until a time."""
+        """Wait on a condition, at most until a monotonic time in ns; None waits without limit."""
         changed.wait(None if until_ns is None else max(until_ns - self.now_ns(), 0) / NS_PER_S)
 
 
@@ -116,11 +116,14 @@ class Task:
         return device
 
     def is_on(self, serial_number: int) -> bool:
-        """Return whether it uses a board."""
+        """Check whether the task uses the board with this serial number."""
         return self.channel is not None and self.device.serial_number == serial_number
 
     def require_empty(self) -> None:
-        """Raise a status if the task already has its channel; the double's tasks have one."""
+        """Check that the task has no channel yet; raise Status if it has, or runs.
+
+        A task of the double has one channel.
+        """
         self.require_not_running()
         if self.channel is not None:
             raise Status(
@@ -130,11 +133,11 @@ class Task:
             )
 
     def take_channel(self, kind: str, channel: Any) -> None:
-        """Set the kind and channel of the task."""
+        """Set kind and channel of the task; it becomes unverified."""
         self.kind, self.channel, self.state, self.verified = kind, channel, TaskState.UNVERIFIED, False
 
     def require_not_running(self) -> None:
-        """Raise -200479 while the task runs."""
+        """Check that the task does not run; raise Status -200479 if it does."""
         if self.state is TaskState.RUNNING:
             raise Status(statuses.RUNNING, task=self.name)
 
@@ -143,19 +146,19 @@ class TaskKind(Protocol):
     """Behaviour of one kind of task in each state."""
 
     def verify(self, bench: Bench, task: Task) -> None:
-        """Check the settings against the board; raise Status if they contradict it."""
+        """Check the task's settings against the board; raise Status if they do not fit."""
         ...
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """Return the parts of boards that the task needs."""
+        """Name the parts of boards that the task must reserve."""
         ...
 
     def commit(self, bench: Bench, task: Task) -> None:
-        """Program the board."""
+        """Program the board with the task's settings."""
         ...
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Start the hardware without waiting."""
+        """Start the hardware of the task without waiting for its end."""
         ...
 
     def triggered(self, bench: Bench, task: Task, at_ns: int) -> None:
@@ -163,11 +166,11 @@ class TaskKind(Protocol):
         ...
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Stop the running hardware."""
+        """Stop the task's running hardware."""
         ...
 
     def done_ns(self, bench: Bench, task: Task) -> int | None:
-        """Return when the running task will be done, None if that is unknown."""
+        """Return the time in ns when the running task will be done; None if it is unknown."""
         ...
 
 
@@ -189,7 +192,7 @@ class Bench:
     next_handle: int = 0x10001
 
     def settle(self) -> int:
-        """Process everything that is due; return the time now."""
+        """Process every edge and watchdog that is due; return the time now in ns."""
         now_ns = self.clock.now_ns()
         for task in tuple(self.tasks.values()):
             if task.kind == "watchdog" and task.state is TaskState.RUNNING:
@@ -209,7 +212,7 @@ TaskHandler = Callable[[Bench, Task, Arguments], Answer]
 
 
 def create(bench: Bench, client: str, name: str) -> Task:
-    """Create a task; a name is unique within its client."""
+    """Create a task of a client; raise Status if the client has one of that name."""
     taken = {task.name for task in bench.tasks.values() if task.client == client}
     if name in taken:
         raise Status(statuses.DUPLICATE_TASK, task=name)
@@ -221,7 +224,7 @@ def create(bench: Bench, client: str, name: str) -> Task:
 
 
 def find(bench: Bench, client: str, handle: int) -> Task:
-    """Return a task of a client by handle.
+    """Return a client's task by its handle.
 
     Raises
     ------
@@ -237,14 +240,14 @@ def find(bench: Bench, client: str, handle: int) -> Task:
 
 
 def raise_lost(task: Task) -> None:
-    """Raise the status of a task without a board: the first time with the cause."""
+    """Raise the status of a task that lost its board, the first time with the cause."""
     code = task.lost
     task.lost = -88709
     raise Status(code, task=task.name)
 
 
 def lose(bench: Bench, task: Task, code: int, cause: str) -> None:
-    """Take the board away from a task: it ends, holds nothing and answers with a status."""
+    """Remove the board from a task: stop it, release its resources, and let later calls fail."""
     if task.kind:
         bench.kinds[task.kind].stop(bench, task, bench.settle(), cause)
     bench.reservations.release(task.holder)
@@ -254,7 +257,10 @@ def lose(bench: Bench, task: Task, code: int, cause: str) -> None:
 
 
 def advance(bench: Bench, task: Task, target: TaskState) -> None:
-    """Move a task up to a state below running."""
+    """Move a task forward to a state below running: verify, reserve and commit as needed.
+
+    Raise Status if it has no channel or one of the steps fails.
+    """
     if task.channel is None:
         raise Status(statuses.NO_CHANNELS, task=task.name)
     kind = bench.kinds[task.kind]
@@ -271,7 +277,10 @@ def advance(bench: Bench, task: Task, target: TaskState) -> None:
 
 
 def changed(task: Task) -> None:
-    """Mark a setting as changed: it is verified and programmed again before the next start."""
+    """Mark a task as changed, so that its next start verifies and programs it again.
+
+    Raise Status if it runs.
+    """
     task.require_not_running()
     if task.state is TaskState.COMMITTED:
         task.state = TaskState.RESERVED
@@ -279,7 +288,7 @@ def changed(task: Task) -> None:
 
 
 def start(bench: Bench, task: Task) -> None:
-    """Start a task."""
+    """Start a task; raise Status and release new reservations if that fails."""
     task.require_not_running()
     task.resume = max(task.state, TaskState.VERIFIED)
     before = task.state
@@ -296,7 +305,7 @@ def start(bench: Bench, task: Task) -> None:
 
 
 def is_done(bench: Bench, task: Task) -> bool:
-    """Return whether a task is not running or has completed."""
+    """Check whether a task is not running or has completed."""
     if task.state is not TaskState.RUNNING:
         return True
     now_ns = bench.settle()
@@ -305,7 +314,7 @@ def is_done(bench: Bench, task: Task) -> bool:
 
 
 def stop(bench: Bench, task: Task) -> None:
-    """Stop a task; harmless when it is not running.
+    """Stop a task; do nothing if it is not running.
 
     Raises
     ------
@@ -325,7 +334,7 @@ def stop(bench: Bench, task: Task) -> None:
 
 
 def _halt(bench: Bench, task: Task) -> None:
-    """Stop the hardware of a task and return it to the state before its start."""
+    """Stop the hardware of a task and restore the state before its start."""
     bench.kinds[task.kind].stop(bench, task, bench.settle(), "stop")
     task.state = task.resume
     if task.state < TaskState.RESERVED:
@@ -334,7 +343,7 @@ def _halt(bench: Bench, task: Task) -> None:
 
 
 def control(bench: Bench, task: Task, action: int) -> None:
-    """Execute `DAQmxTaskControl`."""
+    """Execute an action of `DAQmxTaskControl` on a task."""
     match action:
         case Action.START:
             start(bench, task)
@@ -361,7 +370,7 @@ def control(bench: Bench, task: Task, action: int) -> None:
 
 
 def _unreserve(bench: Bench, task: Task) -> None:
-    """Release the resources of a task."""
+    """Release the resources of a task; it stays verified."""
     if task.state >= TaskState.RESERVED:
         bench.reservations.release(task.holder)
         task.state = TaskState.VERIFIED
@@ -369,7 +378,7 @@ def _unreserve(bench: Bench, task: Task) -> None:
 
 
 def clear(bench: Bench, task: Task) -> None:
-    """End and remove a task."""
+    """Stop a task, release its resources and remove it."""
     if task.state is TaskState.RUNNING:
         _halt(bench, task)
     _unreserve(bench, task)

@@ -45,7 +45,10 @@ class Countdown:
     expired_ns: int | None = None
 
     def settle(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Expire the timer at its own time, independent of calls."""
+        """Expire the watchdog if its timeout has passed, at its own time.
+
+        The time does not depend on when calls come.
+        """
         if self.expired_ns is not None or self.begin_ns is None or self.timeout_s == NEVER:
             return
         deadline_ns = self.begin_ns + round(self.timeout_s * NS_PER_S)
@@ -73,14 +76,14 @@ class Watchdog:
         """Do nothing: the timeout was checked when it was set."""
 
     def resources(self, bench: Bench, task: Task) -> tuple[str, ...]:
-        """Return one timer per board."""
+        """Name the resource that the task needs: the one watchdog timer of its board."""
         return (resource(task.device.serial_number, "watchdog"),)
 
     def commit(self, bench: Bench, task: Task) -> None:
         """Do nothing: no line is driven before the timer expires."""
 
     def start(self, bench: Bench, task: Task, now_ns: int) -> None:
-        """Arm the timer."""
+        """Arm the timer with the configured timeout."""
         task.n_starts += 1
         task.run = Countdown(begin_ns=now_ns, timeout_s=task.settings["Watchdog.Timeout"])
 
@@ -88,7 +91,7 @@ class Watchdog:
         """Do nothing: a watchdog waits for no trigger."""
 
     def stop(self, bench: Bench, task: Task, now_ns: int, cause: str) -> None:
-        """Disarm; an expired one stays expired until it is cleared."""
+        """Disarm the timer; an expired one stays expired until it is cleared."""
         if task.run is not None and task.run.expired_ns is None:
             task.run = None
 
@@ -98,7 +101,7 @@ class Watchdog:
 
 
 def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
-    """Answer `DAQmxCreateWatchdogTimerTaskEx`."""
+    """Answer `DAQmxCreateWatchdogTimerTaskEx`; raise Status for a board without a watchdog."""
     device = bench.devices.find(arguments["device_name"])
     if not device.kind.watchdog:
         raise Status(statuses.WATCHDOG_NOT_SUPPORTED, f"Device: {device.name} ({device.kind.product})")
@@ -116,13 +119,16 @@ def create_watchdog(bench: Bench, client: str, arguments: Arguments) -> Answer:
 
 
 def _require_watchdog(task: Task) -> None:
-    """Raise the driver's status if the task is no watchdog."""
+    """Check that the task is a watchdog; raise Status if it is not."""
     if task.kind != "watchdog":
         raise Status(statuses.NOT_A_WATCHDOG_TASK, task=task.name)
 
 
 def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxCfgWatchdogDOExpirStates`: a counter is watched by the line of its terminal."""
+    """Answer `DAQmxCfgWatchdogDOExpirStates`: set the level that each line takes on expiration.
+
+    A counter is watched by the line of its terminal.
+    """
     _require_watchdog(task)
     tasks.changed(task)
     lines = bench.devices.lines(arguments["channel_names"])
@@ -140,7 +146,7 @@ def configure_expiration(bench: Bench, task: Task, arguments: Arguments) -> None
 
 
 def control_watchdog(bench: Bench, task: Task, arguments: Arguments) -> None:
-    """Answer `DAQmxControlWatchdogTask`."""
+    """Answer `DAQmxControlWatchdogTask`: reset the timer or clear an expiration."""
     _require_watchdog(task)
     now_ns = bench.settle()
     run: Countdown | None = task.run

@@ -72,12 +72,12 @@ class NiscopeBrain:
     # What a test or the control channel asks for
 
     def has(self, serial_number: int) -> bool:
-        """Return whether a board of this serial number is described, plugged in or not."""
+        """Check whether a board with this serial number is described, plugged in or not."""
         known = {board.serial_number for board in self._boards.values()}
         return serial_number in known | set(self._unplugged)
 
     def unplug(self, serial_number: int) -> None:
-        """Remove a board: its sessions stay open but find no board."""
+        """Remove a board: its sessions stay open, but their calls fail."""
         with self._changed:
             for name, board in tuple(self._boards.items()):
                 if board.serial_number == serial_number:
@@ -85,7 +85,7 @@ class NiscopeBrain:
             self._changed.notify_all()
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a board in again, under another name if one is given."""
+        """Plug a removed board in again, under another name if one is given."""
         with self._changed:
             board = self._unplugged.pop(serial_number)
             board = dataclasses.replace(board, name=name or board.name)
@@ -97,23 +97,23 @@ class NiscopeBrain:
             return frozenset(self._boards)
 
     def occupy(self, resource: str, owner: str) -> None:
-        """Reserve a board for an outside program."""
+        """Reserve a board for another process, whose owner then blocks new sessions."""
         with self._changed:
             self._foreign_owners[resource] = owner
 
     def vacate(self, owner: str) -> None:
-        """Release everything of an outside program."""
+        """Release all boards that another process has reserved."""
         with self._changed:
             owners = self._foreign_owners.items()
             self._foreign_owners = {name: other for name, other in owners if other != owner}
 
     def open_sessions(self) -> list[tuple[str, str]]:
-        """Return client and resource of each open session."""
+        """List client and resource of each open session."""
         with self._changed:
             return [(session.client, session.board.name) for session in self._sessions.values()]
 
     def client_gone(self, client: str) -> list[str]:
-        """Close a dead client's sessions, as the driver does when a process ends; return the resources."""
+        """Close a dead client's sessions, as the driver does; return their resources."""
         with self._changed:
             left = [session for session in self._sessions.values() if session.client == client]
             for session in left:
@@ -124,7 +124,7 @@ class NiscopeBrain:
     # Entry points
 
     def call(self, client: str, function: str, arguments: Arguments) -> Answer:
-        """Answer one entry point.
+        """Answer one call of the NI-SCOPE API.
 
         Raises
         ------
@@ -155,7 +155,7 @@ class NiscopeBrain:
             raise
 
     def _open(self, client: str, resource: str) -> Answer:
-        """Open a session on a board that no other process owns."""
+        """Open a session on a board; raise ScopeStatus if it is unknown or owned by another client."""
         with self._changed:
             board = self._boards.get(resource)
             if board is None:
@@ -170,21 +170,21 @@ class NiscopeBrain:
             return {"vi": handle}
 
     def _close(self, session: Session, _: Arguments) -> None:
-        """Close a session."""
+        """Close a session, which ends its acquisition."""
         with self._changed:
             del self._sessions[session.handle]
             self._changed.notify_all()
 
     def _lock(self, session: Session, _: Arguments) -> None:
-        """Do nothing: a lock concerns the caller's own threads."""
+        """Accept a lock without effect, because it concerns the caller's own threads."""
 
     def _commit(self, session: Session, _: Arguments) -> None:
-        """Commit the settings of a session."""
+        """Commit the settings of a session; raise ScopeStatus while it acquires or without its board."""
         require_idle(session)
         self._require_present(session)
 
     def _restore_defaults(self, session: Session, _: Arguments) -> None:
-        """Reset the configuration of a session."""
+        """Reset all settings of a session and abort its acquisition."""
         self._require_present(session)
         fresh = Session(
             handle=session.handle,
@@ -200,7 +200,7 @@ class NiscopeBrain:
     # Acquisition
 
     def _initiate(self, session: Session, _: Arguments) -> None:
-        """Start an acquisition."""
+        """Start an acquisition; raise ScopeStatus if no channel is enabled."""
         require_idle(session)
         self._require_present(session)
         if not any(channel.enabled for channel in session.channels.values()):
@@ -208,14 +208,14 @@ class NiscopeBrain:
         session.acquisition = self._pulsers.begin(session, self._monotonic_s())
 
     def _abort(self, session: Session, _: Arguments) -> None:
-        """Abort the acquisition."""
+        """Abort the acquisition of a session, if there is one."""
         with self._changed:
             session.acquisition = None
             self._changed.notify_all()
         self._require_present(session)
 
     def _waveform_count(self, session: Session, arguments: Arguments) -> Answer:
-        """Return how many waveforms a fetch would return."""
+        """Count the waveforms that a fetch would return: records times channels."""
         requested = session.fetch[FETCH_RECORDS]
         left = max(session.records - session.fetch[FETCH_RECORD], 0)
         records = left if requested < 0 else min(requested, left)
@@ -272,25 +272,25 @@ class NiscopeBrain:
     # Calibration
 
     def _calibration_date(self, session: Session, arguments: Arguments) -> Answer:
-        """Return the date of the external or the self-calibration."""
+        """Return the date of the board's external or self-calibration."""
         day = datetime.date.fromisoformat(session.board.calibration_date)
         if arguments["which_one"] == SELF_CALIBRATION:
             day = self._self_calibrated.get(session.board.serial_number, day)
         return {"year": day.year, "month": day.month, "day": day.day}
 
     def _calibration_temperature(self, session: Session, _: Arguments) -> Answer:
-        """Return the temperature of the calibration."""
+        """Return the temperature of the board at its calibration in degrees Celsius."""
         return {"temperature": session.board.calibration_temperature_c}
 
     def _self_calibrate(self, session: Session, _: Arguments) -> None:
-        """Note that the board has calibrated itself today."""
+        """Record today as the date of the board's self-calibration."""
         require_idle(session)
         self._require_present(session)
         today = datetime.datetime.now(tz=datetime.UTC).date()
         self._self_calibrated[session.board.serial_number] = today
 
     def _require_present(self, session: Session) -> None:
-        """Raise the driver's status if the board has been unplugged."""
+        """Check that the session's board is plugged in; raise ScopeStatus if not."""
         if session.board not in self._boards.values():
             raise ScopeStatus(
                 statuses.SCOPE_HARDWARE_FAILURE, f"{session.board.name} is not in the system any more"

@@ -64,7 +64,7 @@ class Pulsers:
         self._next_echo = next_echo
 
     def begin(self, session: Session, now_s: float) -> Acquisition:
-        """Start an acquisition now: its records follow the next firings, if they trigger the board."""
+        """Start an acquisition; its records follow the next firings, if these trigger the board."""
         shape = RecordShape(
             sample_rate_hz=session.rate_hz,
             samples=session.samples,
@@ -86,7 +86,7 @@ class Pulsers:
         )
 
     def _triggering_position(self, session: Session) -> str:
-        """Return the position of the probe whose sync is the configured trigger, empty if none is."""
+        """Return the position of the probe whose sync signal triggers the session; empty if none does."""
         enabled = [name for name, channel in session.channels.items() if channel.enabled]
         for position, probe in self._probes.items():
             wired = self._wired_to[position] == session.board.serial_number and probe.channel in enabled
@@ -124,7 +124,7 @@ class Pulsers:
         )
 
     def _codes(self, running: Acquisition, channel: str, calibration: Calibration) -> NDArray[np.int32]:
-        """Return codes of all records of a channel: the probe's own, or a grounded input's."""
+        """Return the codes of all records of a channel; one without a probe is a grounded input."""
         probe = self._probes[running.position]
         if probe.channel != channel:
             quiet = counts_of(np.zeros((running.shape.records, running.shape.samples)), calibration)

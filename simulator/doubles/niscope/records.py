@@ -34,7 +34,7 @@ def single_records(
     key: ShotKey,
     hour_h: float,
 ) -> NDArray[np.int32]:
-    """Return codes of each record of one acquisition, unpadded, shape (records, samples).
+    """Simulate the unpadded codes of each record of an acquisition, shape (records, samples).
 
     The echo is the twin's own (`Specimen.echo`) at the board's rate and length. Each record carries the
     noise of a single one, drawn for this key: their mean scatters by the square root of their number, as

@@ -84,13 +84,13 @@ _CHANNEL_VALUES: Mapping[int, str] = {
 
 
 def require_idle(session: Session) -> None:
-    """Raise a status while an acquisition runs."""
+    """Check that no acquisition runs in the session; raise ScopeStatus if one does."""
     if session.acquisition is not None:
         raise ScopeStatus(statuses.SCOPE_ACQUISITION_IN_PROGRESS)
 
 
 def get_attribute(session: Session, arguments: Arguments) -> Answer:
-    """Answer with the value of an attribute."""
+    """Answer with the value of an attribute; raise ScopeStatus if the channels differ in it."""
     number = arguments["attribute_id"]
     if number in _SESSION_VALUES:
         return {"value": _SESSION_VALUES[number](session)}
@@ -105,7 +105,10 @@ def get_attribute(session: Session, arguments: Arguments) -> Answer:
 
 
 def set_attribute(session: Session, arguments: Arguments) -> None:
-    """Set an attribute; fetch attributes while an acquisition runs too."""
+    """Set an attribute of the session or its channels.
+
+    Fetch attributes can be set while an acquisition runs; for others raise ScopeStatus.
+    """
     number, value = arguments["attribute_id"], arguments["value"]
     if number in session.fetch:
         session.fetch[number] = value
@@ -120,7 +123,7 @@ def set_attribute(session: Session, arguments: Arguments) -> None:
 
 
 def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Channel]]:
-    """Return the channels of a list; an empty one names all."""
+    """Return the channels in a list by name, all for an empty one; raise ScopeStatus if unknown."""
     wanted = [name.strip() for name in arguments["channel_list"].split(",") if name.strip()]
     for name in wanted:
         if name not in session.channels:
@@ -129,7 +132,7 @@ def channels_of(session: Session, arguments: Arguments) -> list[tuple[str, Chann
 
 
 def channel_names(session: Session, arguments: Arguments) -> Answer:
-    """Answer with the names of channels by their indices."""
+    """Answer with the names of channels by their indices; raise ScopeStatus for a wrong index."""
     names = list(session.channels)
     try:
         return {"names": ",".join(names[int(index)] for index in arguments["indices"].split(","))}
@@ -138,7 +141,7 @@ def channel_names(session: Session, arguments: Arguments) -> Answer:
 
 
 def configure_vertical(session: Session, arguments: Arguments) -> None:
-    """Set range (coerced up) and offset of inputs."""
+    """Set range (coerced up) and offset of channels; raise ScopeStatus for too large a range."""
     require_idle(session)
     range_v = session.board.next_range_v(0.5 * arguments["range"])
     if range_v is None:
@@ -150,7 +153,7 @@ def configure_vertical(session: Session, arguments: Arguments) -> None:
 
 
 def configure_input(session: Session, arguments: Arguments) -> None:
-    """Set the impedance of inputs."""
+    """Set the input impedance of channels, 50 ohm or 1 Mohm; raise ScopeStatus for others."""
     require_idle(session)
     if arguments["input_impedance"] not in (50.0, 1e6):
         raise ScopeStatus(statuses.SCOPE_INVALID_VALUE, f"input impedance {arguments['input_impedance']} ohm")
@@ -159,7 +162,7 @@ def configure_input(session: Session, arguments: Arguments) -> None:
 
 
 def configure_horizontal_timing(session: Session, arguments: Arguments) -> None:
-    """Set rate (coerced up), length and number of records."""
+    """Set rate (coerced up), length and number of records; raise ScopeStatus for invalid ones."""
     require_idle(session)
     rate_hz = session.board.next_rate_hz(arguments["min_sample_rate"])
     samples, records = arguments["min_num_pts"], arguments["num_records"]
@@ -171,7 +174,7 @@ def configure_horizontal_timing(session: Session, arguments: Arguments) -> None:
 
 
 def configure_trigger(session: Session, arguments: Arguments) -> None:
-    """Set an analog edge or a digital one as the reference trigger."""
+    """Set an analog or digital edge as the reference trigger of the session."""
     require_idle(session)
     session.trigger_source = arguments["trigger_source"]
     session.trigger_delay_s = arguments["delay"]

@@ -25,17 +25,17 @@ class AimTtiSupply(Supply):
     _EXECUTION_ERRORS: ClassVar = {OUT_OF_RANGE: "100", CONFLICT: "104"}
 
     def _power_on_state(self) -> None:
-        """Set the state after power-on, without events."""
+        """Restore the state after power-on, and clear the limit event register."""
         super()._power_on_state()
         self._events = 0
 
     def trip(self, protection: str = "CURR") -> None:
-        """Trip a protection, and set the event in the limit register."""
+        """Trip a protection and set its bit in the limit event register."""
         super().trip(protection)
         self._events |= {"VOLT": 4, "CURR": 8}[protection]
 
     def _answer(self, question: str) -> str | None:
-        """Return the answer to a question; None if it is unknown."""
+        """Return the answer to a query; None if the query is unknown."""
         if question == "*IDN?":
             return self.identity
         if question == "EER?":
@@ -80,7 +80,7 @@ class KoradSupply(Supply):
     )
 
     def answer(self, command: str) -> str | None:
-        """Execute one command; only queries have a response."""
+        """Execute one command in Korad's syntax; return the response to a query, else None."""
         if command == "*IDN?":
             return self.identity
         if command == "STATUS?":
@@ -105,12 +105,12 @@ class RigolSupply(Supply):
     _WORDS: ClassVar = {"OVP": "VOLT", "OCP": "CURR"}
 
     def _power_on_state(self) -> None:
-        """Set the state after power-on, without protection."""
+        """Restore the state after power-on, with both protections disabled."""
         super()._power_on_state()
         self._guarded = {"VOLT": False, "CURR": False}
 
     def answer(self, command: str) -> str | None:
-        """Execute one command; only queries have a response."""
+        """Execute one SCPI command; return the response to a query, else None."""
         header, _, argument = command.upper().partition(" ")
         if not header.endswith("?"):
             error = self._obey(header, argument)
@@ -122,7 +122,7 @@ class RigolSupply(Supply):
         return response
 
     def _answer_question(self, question: str, channel: str) -> str | None:
-        """Return the answer to a question about a channel; None if it is unknown."""
+        """Return the answer to a query about a channel; None if the query is unknown."""
         if question == "*IDN?":
             return self.identity
         if question == ":SYST:ERR?":

@@ -43,7 +43,7 @@ class ClimateProbe:
         self._seconds, self._start_s = seconds, seconds()
 
     def answer(self, command: str) -> str | None:
-        """Answer queries of name, temperature and humidity; others get no response."""
+        """Answer queries of identity, temperature and humidity; None for any other command."""
         phase = 2.0 * math.pi * (self._seconds() - self._start_s) / 86_400.0
         match command.upper():
             case "*IDN?":
@@ -91,23 +91,23 @@ class SerialInstruments:
         self.close()
 
     def brown_out(self) -> None:
-        """Cut mains and USB of the supply, then restore both."""
+        """Interrupt mains and USB of the supply for a moment; its output and settings are lost."""
         self.supply_link.unplug()
         self.supply_link.do(self.supply.brown_out)
         self.supply_link.plug()
 
     def output_changes(self) -> list[OutputChange]:
-        """Return all changes of the supply's output, oldest first."""
+        """Return all changes of the supply's output, the oldest first."""
         return self.supply_link.do(lambda: list(self.supply.output))
 
     def close(self) -> None:
-        """Unplug both and end their threads."""
+        """Unplug both instruments and end their threads."""
         self.supply_link.close()
         self.climate_link.close()
 
 
 def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[str, Any]:
-    """Execute the command of one JSON line on standard input.
+    """Execute the command of one JSON line from standard input.
 
     ``{"do": "unplug" | "plug" | "clear_faults", "instrument": "supply" | "climate"}``;
     ``{"do": "inject", "instrument": ..., "silent": true, "slow_s": 0.5, "hold": 1, "garbage": 1}``;
@@ -162,7 +162,7 @@ def carry_out(instruments: SerialInstruments, order: Mapping[str, Any]) -> dict[
 
 
 def main() -> int:
-    """Run both instruments until standard input ends."""
+    """Run supply and climate probe until standard input ends; return the exit code."""
     parser = argparse.ArgumentParser(prog="simulator.doubles.serial.instruments", description=main.__doc__)
     parser.add_argument("--json", action="store_true", help="name the ports as one JSON line")
     parser.add_argument("--seed", type=int, default=0, help="seed of the readings' noise")
@@ -193,7 +193,7 @@ def main() -> int:
 
 
 def _answer_line(instruments: SerialInstruments, line: str) -> dict[str, Any]:
-    """Execute the command of a line; return the result or the rejection."""
+    """Execute the JSON command in a line; return its result, or an error if it is rejected."""
     try:
         order = json.loads(line)
         if not isinstance(order, dict):

@@ -33,7 +33,7 @@ ORDER_TIMEOUT_S = 10.0
 
 
 def pseudo_terminals_missing() -> str:
-    """Return the reason why pseudo terminals are unavailable; empty where they are available."""
+    """Return why this system has no pseudo terminals; empty if it has them."""
     if not hasattr(os, "openpty"):
         return "this system has no pseudo terminals (Windows): use a real port, or run on Linux or macOS"
     return ""
@@ -55,7 +55,7 @@ class Framing:
     reply_end: bytes = b"\n"
 
     def split(self, received: bytes) -> tuple[list[bytes], bytes]:
-        """Return complete commands, and the received start of the next."""
+        """Split received bytes into complete commands and the start of the next one."""
         if self.commands is None:
             *lines, rest = received.split(b"\n")
             return lines, rest
@@ -144,28 +144,28 @@ class SerialLink:
     # Orders, carried out by the owning thread ------------------------------------------------------
 
     def plug(self) -> None:
-        """Open a terminal behind the path; harmless when plugged in."""
+        """Open a terminal behind the link's path; do nothing if it is plugged in."""
         self._order(self._plug)
 
     def unplug(self) -> None:
-        """Remove the terminal and its path; harmless when unplugged."""
+        """Remove terminal and path of the link; do nothing if it is unplugged."""
         self._order(self._unplug)
 
     def inject(self, **faults: Any) -> None:
-        """Change some of the `LineFaults`."""
+        """Set some of the `LineFaults`; the others stay."""
         changed = replace(self._faults, **faults)
         self._order(lambda: self._set_faults(changed))
 
     def clear_faults(self) -> None:
-        """Clear the faults; delayed responses are lost."""
+        """Clear all faults of the line; delayed responses are lost."""
         self._order(lambda: self._set_faults(LineFaults()))
 
     def chatter(self, text: bytes) -> None:
-        """Send unsolicited text."""
+        """Send text to the client that it did not request."""
         self._order(lambda: self._transmit(text))
 
     def do(self, work: Callable[[], T]) -> T:
-        """Run a function on the owning thread between two commands."""
+        """Run a function on the link's thread, between two commands; return its result."""
         return self._order(work)
 
     def heard(self) -> list[tuple[int, str]]:
@@ -173,7 +173,7 @@ class SerialLink:
         return self._order(lambda: list(self._heard))
 
     def close(self) -> None:
-        """Unplug and end the thread; harmless when closed."""
+        """Unplug the link and end its thread; do nothing if it is closed."""
         if not self._thread.is_alive():
             return
         self.unplug()
@@ -183,12 +183,13 @@ class SerialLink:
         os.close(self._wake_write)
 
     def _order(self, work: Callable[[], T]) -> T:
-        """Run a function in the thread of the link and return its result."""
+        """Run a function on the link's thread; return its result or raise its error."""
         if threading.current_thread() is self._thread:  # the instrument itself pulls the plug
             return work()
         future: Future[T] = Future()
 
         def carry_out() -> None:
+            """Run the function and store its result or error in the future."""
             try:
                 future.set_result(work())
             except BaseException as error:  # noqa: BLE001 - handed to the caller, who raises it
@@ -201,7 +202,7 @@ class SerialLink:
     # The owning thread -----------------------------------------------------------------------------
 
     def _run(self) -> None:
-        """Serve the link until it is closed."""
+        """Serve the link's clients and due responses until it is closed."""
         while not self._ended:
             watched = [self._wake_read, *(self._terminal or ())[:1]]
             watched += [] if self._listener is None else [self._listener.fileno()]
@@ -219,7 +220,7 @@ class SerialLink:
                 self._orders.popleft()()
 
     def _hear(self) -> None:
-        """Read what was sent, and answer each complete command."""
+        """Read received bytes and answer each complete command."""
         assert self._terminal is not None, "only heard while plugged in"
         try:
             data = os.read(self._terminal[0], 4096)
@@ -244,7 +245,7 @@ class SerialLink:
                 self.withheld()
 
     def _reply(self, answer: bytes) -> None:
-        """Send an answer, or what an injected fault makes of it."""
+        """Send an answer, delayed, dropped or garbled by injected faults."""
         faults = self._faults
         if faults.silent:
             self.withheld()
@@ -264,7 +265,7 @@ class SerialLink:
                 self.withheld()
 
     def _transmit(self, text: bytes) -> None:
-        """Send text to the client, if one is connected."""
+        """Send bytes to the client, if one is connected."""
         if self._terminal is not None:
             try:
                 os.write(self._terminal[0], text)
@@ -272,7 +273,7 @@ class SerialLink:
                 self._hang_up()
 
     def _set_faults(self, faults: LineFaults) -> None:
-        """Set the faults of the line; without any, what was held back is dropped."""
+        """Set the faults of the line; if there are none, drop the responses held back."""
         self._faults = faults
         if faults == LineFaults():
             self._held.clear()
@@ -299,7 +300,7 @@ class SerialLink:
         self._hang_up()
 
     def _hang_up(self) -> None:
-        """Close the connection."""
+        """Close the connection to the client and drop its pending responses."""
         for end in self._terminal or ():
             with contextlib.suppress(OSError):
                 os.close(end)
@@ -308,7 +309,7 @@ class SerialLink:
         self._due.clear()
 
     def _end(self) -> None:
-        """Request the thread to end."""
+        """Let the link's thread end after its present work."""
         self._ended = True
 
 
@@ -332,13 +333,13 @@ class SocketLink(SerialLink):
         return f"visa:TCPIP0::127.0.0.1::{self._number}::SOCKET"
 
     def _plug(self) -> None:
-        """Listen for connections, on the same port as before."""
+        """Listen for TCP connections, on the same port as before."""
         if self._listener is None:
             self._listener = socket.create_server(("127.0.0.1", self._number))
             self._number = self._listener.getsockname()[1]
 
     def _unplug(self) -> None:
-        """Close the port and hang up."""
+        """Stop listening and close the connection."""
         if self._listener is not None:
             self._listener.close()
             self._listener = None

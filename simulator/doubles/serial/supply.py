@@ -40,7 +40,7 @@ class Cell:
     rise_per_h: float = 1e-3
 
     def operating_point(self, set_v: float, limit_a: float, hours_h: float) -> tuple[float, float]:
-        """Return voltage and current of the supply at this load, in constant voltage or current limit."""
+        """Return voltage and current at this load, in constant voltage or in current limit."""
         resistance_ohm = self.resistance_ohm * (1.0 + self.rise_per_h * hours_h)
         current_a = max(0.0, (set_v - self.counter_voltage_v) / resistance_ohm)
         if current_a <= limit_a:
@@ -92,7 +92,7 @@ class Supply:
         self._power_on_state()
 
     def _power_on_state(self) -> None:
-        """Set the state after power-on: output off, defaults of the limits."""
+        """Set the state after power-on: output off, default limits, no errors."""
         self._set = {"VOLT": 0.0, "CURR": 0.1}
         self._on = False
         self._tripped = {"VOLT": False, "CURR": False}
@@ -107,21 +107,21 @@ class Supply:
     # What happens to it --------------------------------------------------------------------------
 
     def brown_out(self) -> None:
-        """Interrupt the mains for a moment: the output is off afterwards and all settings are lost."""
+        """Interrupt the mains for a moment: the output goes off and all settings are lost."""
         self._switch(False, "brown-out")
         self._power_on_state()
 
     def trip(self, protection: str = "CURR") -> None:
-        """Trip the over-voltage (VOLT) or over-current (CURR) protection: off until it is cleared."""
+        """Trip the over-voltage (VOLT) or over-current (CURR) protection, which switches off."""
         self._tripped[protection] = True
         self._switch(False, f"protection {protection}")
 
     def press_output_key(self, on: bool) -> None:
-        """Switch the output at the front panel, without a program."""
+        """Switch the output at the front panel, without a command."""
         self._switch(on, "front panel")
 
     def _switch(self, on: bool, cause: str) -> None:
-        """Switch the output and record the change."""
+        """Switch the output on or off and record a change with its cause."""
         if on != self._on:
             self._on = on
             self.output.append(OutputChange(mono_ns=time.monotonic_ns(), on=on, cause=cause))
@@ -129,7 +129,7 @@ class Supply:
     # Commands ------------------------------------------------------------------------------------
 
     def answer(self, command: str) -> str | None:
-        """Execute one command; only queries have a response."""
+        """Execute one SCPI command; return the response to a query, else None."""
         header, _, argument = command.upper().partition(" ")
         if header.endswith("?"):
             return self._answer(header)
@@ -139,7 +139,7 @@ class Supply:
         return None
 
     def _answer(self, question: str) -> str | None:
-        """Return the answer to a question; None if it is unknown."""
+        """Return the answer to a query; None if the query is unknown."""
         match question:
             case "*IDN?":
                 return self.identity
@@ -184,7 +184,7 @@ class Supply:
         return None
 
     def _set_level(self, header: str, number: str) -> str | None:
-        """Set voltage or current; return the error of a value out of range."""
+        """Set voltage or current; return the SCPI error of an invalid value, else None."""
         try:
             value = float(number)
         except ValueError:
@@ -198,7 +198,7 @@ class Supply:
         return None
 
     def _protect(self, quantity: str, value: float) -> str | None:
-        """Set the level of a protection, at or above the setpoint."""
+        """Set the level of a protection; return an SCPI error if it is below the setpoint."""
         if value < self._set[quantity]:
             return CONFLICT
         if self.obeys_set_commands:
@@ -206,13 +206,13 @@ class Supply:
         return None
 
     def _measured(self) -> tuple[float, float]:
-        """Return voltage and current at the cell; zero while the output is off."""
+        """Return voltage in V and current in A at the cell; zero while the output is off."""
         if not self._on:
             return 0.0, 0.0
         hours_h = (self._seconds() - self._start_s) / 3600.0
         return self.cell.operating_point(self._set["VOLT"], self._set["CURR"], hours_h)
 
     def _scatter(self, unit: str) -> float:
-        """Return the noise of the next reading of a unit."""
+        """Draw the noise of the next reading in a unit."""
         self._readings += 1
         return float(np.random.default_rng([self._seed, self._readings]).normal(0.0, self._noise[unit]))

@@ -18,21 +18,21 @@ from simulator.doubles.vendor_api.entry_points import (
 
 
 def library_source(library: str) -> str:
-    """Return the source of one shared library: the common part, then one function per entry."""
+    """Generate the C source of one shared library: the common part and a function per entry."""
     shared = files("simulator.doubles.transports").joinpath("transport.c").read_text(encoding="utf-8")
     functions = [_function(entry) for entry in ENTRY_POINTS.values() if entry.library == library]
     return "\n".join([shared, _attribute_kinds(), *functions])
 
 
 def _attribute_kinds() -> str:
-    """Return the C function that knows the type of each attribute."""
+    """Generate the C function that returns the type of each attribute."""
     cases = [f"    case {entry.number}: return {_kind(entry)};" for entry in ATTRIBUTES.values()]
     head = "static int attribute_kind(int32_t attribute) {\n    switch (attribute) {"
     return "\n".join([head, *cases, "    default: return KIND_UNKNOWN;", "    }", "}", ""])
 
 
 def _kind(attribute: Attribute) -> str:
-    """Return the C constant of an attribute's type."""
+    """Return the C constant for an attribute's type."""
     if attribute.c_type == "char":
         return "KIND_TEXT"
     width = struct.calcsize(PACKED[attribute.c_type])
@@ -42,7 +42,7 @@ def _kind(attribute: Attribute) -> str:
 
 
 def _function(entry: EntryPoint) -> str:
-    """Return the C function of an entry point."""
+    """Generate the C function of an entry point."""
     lines = [f"int32_t {entry.name}({entry.declared}) {{", "struct message message;", "int32_t status;"]
     variadic = entry.tail is not Tail.NONE
     if variadic:
@@ -69,7 +69,7 @@ def _function(entry: EntryPoint) -> str:
 
 
 def _put(parameter: Parameter) -> str:
-    """Return the C statement that adds an input to the message."""
+    """Generate the C statement that adds an input to the message."""
     name = parameter.name
     if parameter.role is Role.TEXT:
         return f"put_text(&message, {name});"
@@ -81,7 +81,7 @@ def _put(parameter: Parameter) -> str:
 
 
 def _take(parameter: Parameter) -> str:
-    """Return the C statement that reads an output from the answer."""
+    """Generate the C statement that reads an output from the answer."""
     name = parameter.name
     if parameter.role is Role.OUT_TEXT:
         return f"status = take_text(&message, status, {name}, (uint32_t){parameter.size});"

@@ -46,12 +46,12 @@ class DoublesControl:
         self.close()
 
     def close(self) -> None:
-        """Close the connection; the double continues."""
+        """Close the control connection; the double continues."""
         self._file.close()
         self._socket.close()
 
     def _ask(self, command: str, **arguments: Any) -> Any:
-        """Send a command to the doubles and return its result."""
+        """Send a command to the doubles and return its result; DoublesProcessError if they are gone."""
         # A question that waits is answered only then.
         self._socket.settimeout(self._timeout_s + arguments.get("timeout_s", 0.0))
         try:
@@ -67,11 +67,11 @@ class DoublesControl:
         return answer["ok"]
 
     def announce(self, key: ShotKey, hour_h: float) -> None:
-        """Set the shot of the next strike at the key's position, and its hour."""
+        """Set set, shot and hour of the next strike at the key's position."""
         self._ask("announce", key=asdict(key), hour_h=hour_h)
 
     def disturb(self, position: str, crosstalk: Crosstalk) -> None:
-        """Set what the coil at a position couples into its sensor from now on."""
+        """Set the crosstalk from the coil at a position into its sensor from now on."""
         self._ask("disturb", position=position, crosstalk=asdict(crosstalk))
 
     def inject(self, function: str, kind: str, **how: float | None) -> None:
@@ -83,19 +83,19 @@ class DoublesControl:
         self._ask("clear_faults")
 
     def release_hangs(self) -> None:
-        """Release hanging calls."""
+        """Release all calls that hang."""
         self._ask("release_hangs")
 
     def wait_until_hanging(self, timeout_s: float) -> bool:
-        """Wait until a call hangs; False at the deadline."""
+        """Wait until a call hangs; return False after ``timeout_s``."""
         return bool(self._ask("wait_until_hanging", timeout_s=timeout_s))
 
     def wait_until_no_tasks(self, timeout_s: float) -> bool:
-        """Wait until every task is gone, as after a client's death; False at the deadline."""
+        """Wait until every task is gone, as after a client's end; return False after ``timeout_s``."""
         return bool(self._ask("wait_until_no_tasks", timeout_s=timeout_s))
 
     def wait_until_quiet(self, timeout_s: float) -> bool:
-        """Wait until no striker is falling and no wave continues; False at the deadline."""
+        """Wait until no striker falls and no wave continues; return False after ``timeout_s``."""
         return bool(self._ask("wait_until_quiet", timeout_s=timeout_s))
 
     def record(self) -> dict[str, Any]:
@@ -104,15 +104,15 @@ class DoublesControl:
         return found
 
     def clear_record(self) -> None:
-        """Discard calls, line events and leaks."""
+        """Discard recorded calls, line events and leaks."""
         self._ask("clear_record")
 
     def unplug(self, serial_number: int) -> None:
-        """Remove a board."""
+        """Remove a board from the chassis by serial number."""
         self._ask("unplug", serial_number=serial_number)
 
     def plug(self, serial_number: int, name: str = "") -> None:
-        """Plug a board in again, under another name if one is given."""
+        """Plug a removed board in again, under another name if one is given."""
         self._ask("plug", serial_number=serial_number, name=name)
 
     def occupy(self, resource: str, owner: str) -> None:
@@ -120,7 +120,7 @@ class DoublesControl:
         self._ask("occupy", resource=resource, owner=owner)
 
     def vacate(self, owner: str) -> None:
-        """Release everything of that other process."""
+        """Release everything that `occupy` has reserved for the other process."""
         self._ask("vacate", owner=owner)
 
 
@@ -147,12 +147,12 @@ class RunningDoubles:
         cache: Path = DEFAULT_CACHE_FOLDER,
         environment: Mapping[str, str] | None = None,
     ) -> dict[str, str]:
-        """Return the environment of a child process with this double; builds the libraries if needed."""
+        """Return the environment of a child process that uses this double; build libraries if needed."""
         folders = [build_library(library, cache) for library in libraries or ("nidaqmx",)]
         return client_environment(self.wire, *folders, environment=environment)
 
     def kill(self) -> None:
-        """End the process at once, as a crash of the driver would."""
+        """Kill the process at once, as a crash of the driver does."""
         self.process.kill()
         self.process.wait(EXIT_TIMEOUT_S)
 
@@ -161,7 +161,7 @@ class RunningDoubles:
 def running_doubles(
     description: Description | None = None, *, warm_up: bool = True, timeout_s: float = READY_TIMEOUT_S
 ) -> Iterator[RunningDoubles]:
-    """Start ``python -m simulator.doubles``, wait until it is ready, end it afterwards.
+    """Run ``python -m simulator.doubles`` within the context; wait until it is ready.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def running_doubles(
 
 
 def _ready(process: subprocess.Popen[bytes], timeout_s: float) -> dict[str, str]:
-    """Return the ready line of a process that was just started."""
+    """Read the ready line of a started process; DoublesProcessError if none comes in time."""
     assert process.stdout is not None
     # A pipe has no deadline of its own on every platform; ending the process ends the wait.
     watch = threading.Timer(timeout_s, process.kill)

@@ -27,7 +27,7 @@ class _Connection(socketserver.StreamRequestHandler):
     server: ControlServer
 
     def handle(self) -> None:
-        """Answer requests until the peer closes."""
+        """Answer JSON requests, one per line, until the peer closes."""
         for line in self.rfile:
             try:
                 request = json.loads(line)
@@ -38,7 +38,7 @@ class _Connection(socketserver.StreamRequestHandler):
 
 
 def obey(brain: Brain, request: Mapping[str, Any]) -> Any:
-    """Execute one request.
+    """Execute one control request on the doubles; return the result.
 
     Raises
     ------

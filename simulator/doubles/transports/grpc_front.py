@@ -49,7 +49,7 @@ BrainCall = Callable[[str, Mapping[str, Any]], Mapping[str, Any]]
 
 
 def why_unavailable() -> str:
-    """Return the reason why gRPC cannot be served here, empty if it can."""
+    """Return the reason why gRPC cannot be served here; empty if it can."""
     missing = [name for name in ("grpc", "nidaqmx", "google.protobuf") if not _is_installed(name)]
     if not missing:
         return ""
@@ -57,7 +57,7 @@ def why_unavailable() -> str:
 
 
 def _is_installed(name: str) -> bool:
-    """Return whether a module is installed."""
+    """Check whether a Python module is installed."""
     try:
         return find_spec(name) is not None
     except ModuleNotFoundError:
@@ -81,7 +81,10 @@ class Sessions:
         self._gate = threading.Lock()
 
     def open(self, name: str, behavior: int, create: Callable[[], int]) -> tuple[str, bool]:
-        """Attach to a session or create its task; return its name and whether it is new."""
+        """Attach to a session or create its task; return its name and whether it is new.
+
+        Raise SessionError if ``behavior`` forbids what would be done.
+        """
         with self._gate:
             if name in self._handles:
                 if behavior == INITIALIZE:
@@ -99,25 +102,28 @@ class Sessions:
             return name, True
 
     def handle(self, name: str) -> int:
-        """Return the task of a session; 0, which no driver call accepts, if there is none."""
+        """Return the task handle of a session; 0, which no driver call accepts, if there is none."""
         with self._gate:
             return self._handles.get(name, 0)
 
     def forget(self, name: str) -> None:
-        """Remove a name."""
+        """Remove a session's name, if it is known."""
         with self._gate:
             self._handles.pop(name, None)
 
 
 def entry_of(method: str) -> EntryPoint | None:
-    """Return the entry point of a method: itself, or the variadic one of a typed attribute method."""
+    """Return the C entry point of a gRPC method; None if there is none.
+
+    A typed attribute method maps to the variadic entry point.
+    """
     attribute = _ATTRIBUTE_METHOD.match(method)
     name = f"DAQmx{attribute[1]}{attribute[2]}Attribute" if attribute else f"DAQmx{method}"
     return ENTRY_POINTS.get(name)
 
 
 def arguments_of(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[str, Any]:
-    """Return the arguments of a call from the fields of its request."""
+    """Convert the fields of a gRPC request to the arguments of a call."""
     arguments: dict[str, Any] = {}
     for parameter in entry.parameters:
         if not parameter.goes_in:
@@ -143,13 +149,13 @@ def arguments_of(entry: EntryPoint, request: Any, sessions: Sessions) -> dict[st
 
 
 def _is_room(parameter: Parameter, entry: EntryPoint, request: Any) -> bool:
-    """Return whether a parameter is the size of a text buffer, which gRPC requests lack."""
+    """Check whether a parameter is the size of a text buffer, which gRPC requests lack."""
     sizes = {other.size for other in entry.parameters if other.role is Role.OUT_TEXT}
     return parameter.name in sizes and parameter.name not in request.DESCRIPTOR.fields_by_name
 
 
 def _field(request: Any, name: str) -> Any:
-    """Return the value of a field; an enumeration may be given by its raw number instead."""
+    """Return the value of a request's field; an enumeration may come as its raw number."""
     fields = request.DESCRIPTOR.fields_by_name
     raw = fields.get(f"{name}_raw")
     if raw is None:
@@ -159,7 +165,7 @@ def _field(request: Any, name: str) -> Any:
 
 
 def fill_response(entry: EntryPoint, response: Any, values: Mapping[str, Any], status: int) -> None:
-    """Write the output parameters into the fields of a response."""
+    """Write status and output parameters into the fields of a gRPC response."""
     response.status = status
     fields = response.DESCRIPTOR.fields_by_name
     names = [parameter.name for parameter in entry.parameters if parameter.goes_out]
@@ -176,7 +182,7 @@ def fill_response(entry: EntryPoint, response: Any, values: Mapping[str, Any], s
 
 
 def _assign(response: Any, field: Any, value: Any) -> None:
-    """Set a field of a response."""
+    """Set a response's field, converted to the type of the field."""
     if field.type == field.TYPE_MESSAGE:
         return
     if field.is_repeated:
@@ -245,15 +251,16 @@ class GrpcFront:
         self._server.start()
 
     def close(self) -> None:
-        """Stop at once; calls in progress are cancelled."""
+        """Stop the server at once; calls in progress are cancelled."""
         self._server.stop(grace=None)
         self._workers.shutdown(wait=False, cancel_futures=True)
 
     def _answer(self, entry: EntryPoint, response_type: Any) -> Callable[[Any, Any], Any]:
-        """Return the handler of a remote procedure."""
+        """Create the handler of one remote procedure."""
         opens_session = any(p.goes_out and p.c_type == HANDLE for p in entry.parameters)
 
         def answer(request: Any, context: Any) -> Any:
+            """Execute the call of a request; abort the procedure with the error of driver or session."""
             response = response_type()
             try:
                 if opens_session:
@@ -277,9 +284,10 @@ class GrpcFront:
         return answer
 
     def _open_session(self, entry: EntryPoint, request: Any, response: Any) -> None:
-        """Create a task for a session, or return that of its name."""
+        """Create the task of a session, or attach to the session of that name."""
 
         def create() -> int:
+            """Create the task by the driver's call and return its handle."""
             arguments = arguments_of(entry, request, self._sessions)
             return int(self._call(entry.name, arguments)["task"])
 

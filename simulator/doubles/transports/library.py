@@ -40,7 +40,7 @@ COMPILE_TIMEOUT_S = 120.0
 
 
 def why_unavailable() -> str:
-    """Return the reason why no library can be built on this machine, empty if one can."""
+    """Return the reason why no library can be built on this machine; empty if one can."""
     if not sys.platform.startswith("linux"):
         return f"the double of NI's C library runs on Linux only, this is {sys.platform}"
     if _compiler() is None:
@@ -52,7 +52,7 @@ def why_unavailable() -> str:
 
 
 def build_library(library: str = "nidaqmx", cache: Path = DEFAULT_CACHE_FOLDER) -> Path:
-    """Build one library unless the cache holds it; return its folder.
+    """Build one shared library unless the cache holds it; return its folder.
 
     The folder's name is a hash of source and compiler flags, and it appears by one rename, so it is
     complete or absent whoever else builds at the same time.
@@ -94,7 +94,7 @@ def build_library(library: str = "nidaqmx", cache: Path = DEFAULT_CACHE_FOLDER) 
 def client_environment(
     wire: str, *folders: Path, environment: Mapping[str, str] | None = None
 ) -> dict[str, str]:
-    """Return the environment in which a process with unmodified `nidaqmx` meets the double.
+    """Return the environment in which a process with unmodified `nidaqmx` uses the double.
 
     Parameters
     ----------
@@ -112,12 +112,12 @@ def client_environment(
 
 
 def _compiler() -> str | None:
-    """Return the C compiler; None if there is none."""
+    """Find the C compiler (cc, gcc or clang); None if there is none."""
     return next((found for name in ("cc", "gcc", "clang") if (found := shutil.which(name))), None)
 
 
 def _compile(source: str, flags: tuple[str, ...], target: Path) -> None:
-    """Compile the library; raise an error with the compiler's message."""
+    """Compile a shared library; raise LibraryBuildError with the compiler's message."""
     compiler = _compiler()
     if compiler is None:
         raise LibraryBuildError(f"cannot build {target.name}: no C compiler found")

@@ -40,7 +40,7 @@ class WireServer(LoopbackServer):
         self._lock = threading.Lock()
 
     def join(self, number: int, process: int) -> tuple[int, str]:
-        """Return number and name of a client; 0 makes a new one, an unknown number too."""
+        """Return number and name of a client; register a new client for 0 or an unknown number."""
         with self._lock:
             if number not in self._clients:
                 number = max(self._clients, default=0) + 1
@@ -48,7 +48,7 @@ class WireServer(LoopbackServer):
             return number, self._clients[number]
 
     def leave(self, number: int) -> None:
-        """Remove a process."""
+        """Remove a client process; do nothing if its number is unknown."""
         with self._lock:
             client = self._clients.pop(number, None)
         if client is not None:
@@ -59,7 +59,7 @@ class _Connection(socketserver.BaseRequestHandler):
     server: WireServer
 
     def handle(self) -> None:
-        """Serve one connection until its peer closes."""
+        """Serve one library's connection until its peer closes."""
         connection: socket.socket = self.request
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         try:
@@ -79,7 +79,7 @@ class _Connection(socketserver.BaseRequestHandler):
             log.warning("connection of %s ends: %s", self.client_address, error)
 
     def _serve(self, connection: socket.socket, client: str) -> None:
-        """Answer the calls of a connection until it ends."""
+        """Answer the calls of a client's connection until it ends."""
         while (body := wire.receive_frame(connection)) is not None:
             entry, arguments = wire.decode_call(body)
             status, text, values = 0, "", {}

@@ -110,7 +110,7 @@ class EntryPoint:
 
 
 def _parameter(const: str, c_type: str, pointer: str, name: str, size: str) -> Parameter:
-    """Return a parameter with its role, from the parts of its declaration."""
+    """Create a parameter from the parts of its C declaration, which give its role."""
     role = Role.VALUE
     if c_type == "void":
         role = Role.UNUSED
@@ -122,7 +122,7 @@ def _parameter(const: str, c_type: str, pointer: str, name: str, size: str) -> P
 
 
 def _read_header(library: str) -> Iterator[EntryPoint]:
-    """Yield the entry points of a library's header."""
+    """Yield the entry points that a library's C header declares."""
     header = Path(__file__).with_name(f"{library}.h").read_text(encoding="utf-8")
     for name, declared in _ENTRY.findall(header):
         tail = _TAIL.match(name) if declared.endswith("...") else None

@@ -46,7 +46,7 @@ class Status(Exception):  # noqa: N818 - a warning is a status too
         super().__init__(self.message)
 
     def _text(self, text: str, detail: str, task: str) -> str:
-        """Return the text of the error as DAQmx words it."""
+        """Format the message of an error as NI-DAQmx does, with task and code."""
         task_line = f"Task Name: {task}" if task else ""
         return "\n".join(filter(None, [text, detail, task_line, f"Status Code: {self.code}"]))
 
@@ -55,14 +55,14 @@ class ScopeStatus(Status):
     """Status of NI-SCOPE: its message has no task and no number."""
 
     def _text(self, text: str, detail: str, task: str) -> str:
-        """Return the text of the error as NI-SCOPE words it."""
+        """Format the message of an error as NI-SCOPE does."""
         return "\n".join(filter(None, [text, detail]))
 
 
 def rejected_property(
     task: str, name: str, detail: str = "", *, code: int = CODES["INVALID_VALUE"], **values: object
 ) -> Status:
-    """Return the status for a rejected property.
+    """Create the status for a property value that the driver rejects.
 
     ``requested``, ``minimum`` and ``maximum``, in NI's words.
     """

@@ -35,7 +35,7 @@ class Reader:
         self._at = 0
 
     def take(self, count: int) -> memoryview:
-        """Read ``count`` bytes."""
+        """Read ``count`` bytes; raise WireError if the frame ends before."""
         if self._at + count > len(self._body):
             raise WireError(f"the frame has {len(self._body)} bytes and ends inside a value")
         piece = self._body[self._at : self._at + count]
@@ -43,29 +43,29 @@ class Reader:
         return piece
 
     def number(self, packed: str) -> Any:
-        """Read one number."""
+        """Read one number in a `struct` format."""
         (number,) = struct.unpack(packed, self.take(struct.calcsize(packed)))
         return number
 
     def text(self) -> str:
-        """Read a text."""
+        """Read a UTF-8 text with its length in front."""
         return bytes(self.take(self.number("<I"))).decode("utf-8", errors="replace")
 
     def array(self, packed: str) -> NDArray[Any]:
-        """Read an array of numbers."""
+        """Read an array of numbers with its length in front."""
         data = self.take(self.number("<I") * struct.calcsize(packed))
         return np.frombuffer(data, dtype=packed).copy()
 
 
 def _text(text: str) -> bytes:
-    """Encode a text with its length; characters beyond ASCII are escaped."""
+    """Encode a text with its length in front; characters beyond ASCII are escaped."""
     # nidaqmx decodes by the locale, which may be plain ASCII.
     encoded = text.encode("ascii", errors="backslashreplace")
     return struct.pack("<I", len(encoded)) + encoded
 
 
 def inputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
-    """Return the parameters of a call.
+    """Return the input parameters of a call.
 
     A variadic entry adds ``value``, or ``channel_names`` and ``state``.
     """
@@ -73,7 +73,7 @@ def inputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
 
 
 def outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
-    """Return the parameters of an answer."""
+    """Return the output parameters of a call, those of a variadic entry included."""
     tail: tuple[Parameter, ...] = ()
     if entry.tail is Tail.GET_STATES:
         tail = (Parameter("state", Role.OUT_ARRAY, "int32_t"),)
@@ -83,7 +83,7 @@ def outputs(entry: EntryPoint, attribute: int = 0) -> tuple[Parameter, ...]:
 
 
 def _tail_inputs(entry: EntryPoint, attribute: int) -> tuple[Parameter, ...]:
-    """Return the variable parameters of a call."""
+    """Return the variable input parameters of a variadic call."""
     if entry.tail is Tail.SET_ATTRIBUTE and attribute in ATTRIBUTES:
         return (ATTRIBUTES[attribute].value(Role.VALUE, Role.ARRAY, Role.TEXT),)
     names = Parameter("channel_names", Role.TEXT, "char")
@@ -93,7 +93,7 @@ def _tail_inputs(entry: EntryPoint, attribute: int) -> tuple[Parameter, ...]:
 
 
 def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
-    """Return entry and arguments of a call.
+    """Decode the body of a call to its entry point and arguments.
 
     Raises
     ------
@@ -114,7 +114,7 @@ def decode_call(body: bytes) -> tuple[EntryPoint, dict[str, Any]]:
 def encode_answer(
     entry: EntryPoint, arguments: Mapping[str, Any], status: int, text: str, values: Mapping[str, Any]
 ) -> bytes:
-    """Return the body of an answer; an output without a value is marked as absent."""
+    """Encode the body of an answer; an output without a value is marked as absent."""
     parts = [struct.pack("<i", status), _text(text)]
     for parameter in outputs(entry, arguments.get("attribute", 0)):
         if parameter.name in values:
@@ -125,7 +125,7 @@ def encode_answer(
 
 
 def encode_value(parameter: Parameter, content: Any) -> bytes:
-    """Return the bytes of one parameter's value."""
+    """Encode the value of one parameter by its role and C type."""
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return _text(content)
     packed = PACKED[parameter.c_type]
@@ -137,7 +137,7 @@ def encode_value(parameter: Parameter, content: Any) -> bytes:
 
 
 def decode_value(parameter: Parameter, reader: Reader) -> Any:
-    """Read the value of one parameter from a body."""
+    """Decode the value of one parameter by its role and C type."""
     if parameter.role in (Role.TEXT, Role.OUT_TEXT):
         return reader.text()
     read = reader.array if parameter.role in (Role.ARRAY, Role.OUT_ARRAY) else reader.number
@@ -145,12 +145,15 @@ def decode_value(parameter: Parameter, reader: Reader) -> Any:
 
 
 def send_frame(connection: socket.socket, body: bytes) -> None:
-    """Write one frame."""
+    """Send one frame: the body with its length in front."""
     connection.sendall(struct.pack("<I", len(body)) + body)
 
 
 def receive_frame(connection: socket.socket) -> bytes | None:
-    """Read one frame; None if the peer closed between two frames or inside one."""
+    """Receive one frame; None if the peer closes before its end.
+
+    Raise WireError if it is larger than `FRAME_LIMIT`.
+    """
     head = receive_exactly(connection, 4)
     if head is None:
         return None
@@ -161,7 +164,7 @@ def receive_frame(connection: socket.socket) -> bytes | None:
 
 
 def receive_exactly(connection: socket.socket, count: int) -> bytes | None:
-    """Read ``count`` bytes; None if the peer closed before."""
+    """Receive exactly ``count`` bytes; None if the peer closes before."""
     pieces: list[bytes] = []
     while count > 0:
         piece = connection.recv(min(count, 1 << 20))

@@ -19,7 +19,7 @@ __all__ = ["DEFAULT_CACHE_FOLDER", "reduced_plate", "reduction_key"]
 def reduced_plate(
     plate: PlateParameters, corrosion: CorrosionParameters, folder: Path | None = DEFAULT_CACHE_FOLDER
 ) -> ReducedPlate:
-    """Return the reduced plate for this outline of the patch, from the cache in `folder` if it is there.
+    """Return the reduced plate for this outline of the patch, from the cache if it is there.
 
     Parameters
     ----------
@@ -30,6 +30,7 @@ def reduced_plate(
     """
 
     def compute() -> dict[str, FloatArray]:
+        """Reduce the plate in one BLAS thread; return its arrays by name."""
         with one_blas_thread():
             return asdict(reduce_plate(build_plate(plate, corrosion)))
 
@@ -37,7 +38,7 @@ def reduced_plate(
 
 
 def reduction_key(plate: PlateParameters, corrosion: CorrosionParameters) -> str:
-    """Return a hash of the specimen, of the code that reduces it and of the libraries that compute it."""
+    """Hash the specimen, the code that reduces it and the libraries that compute it."""
     footprint = asdict(corrosion)
     del footprint["depth_fraction"]
     return content_key({"reduction": "mindlin", "plate": asdict(plate), "patch": footprint})

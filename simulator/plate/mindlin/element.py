@@ -30,7 +30,7 @@ GAUSS_POINTS = tuple(
 def element_matrices(
     plate: PlateParameters, width_m: FloatArray, height_m: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return bending, shear, translational and rotary matrices of rectangles of pristine thickness.
+    """Compute bending, shear, translational and rotary matrices of rectangles of full thickness.
 
     Parameters
     ----------
@@ -55,7 +55,7 @@ def element_matrices(
 def thinned_element_matrices(
     plate: PlateParameters, a: FloatArray, b: FloatArray, linear: FloatArray, cubic: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Return stiffness and mass of rectangles whose thickness varies between Gauss points.
+    """Compute stiffness and mass of rectangles whose thickness varies between Gauss points.
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def thinned_element_matrices(
 def _gauss_matrices(
     plate: PlateParameters, a: FloatArray, b: FloatArray
 ) -> Iterator[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-    """Return the contribution of each Gauss point to the four matrices, each shape (len(a), 12, 12)."""
+    """Yield the contribution of each Gauss point to the four matrices, each shape (len(a), 12, 12)."""
     h, nu, modulus_pa = plate.thickness_m, plate.poisson_ratio, plate.warm_youngs_modulus_pa
     c = plane_modulus_pa(modulus_pa, nu) * np.array(
         [[1.0, nu, 0.0], [nu, 1.0, 0.0], [0.0, 0.0, (1.0 - nu) / 2.0]]
@@ -106,7 +106,7 @@ def _gauss_matrices(
 def _strain_rows(
     xi: float, eta: float, a: FloatArray, b: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return rows that turn the 12 nodal values into curvatures (3), shear strains (2) and values (3)."""
+    """Compute rows that turn 12 nodal values into curvatures, shear strains and values, 3, 2 and 3."""
     node_xi = np.array([-1.0, 1.0, 1.0, -1.0])
     node_eta = np.array([-1.0, -1.0, 1.0, 1.0])
     shape = 0.25 * (1.0 + xi * node_xi) * (1.0 + eta * node_eta)

@@ -16,7 +16,7 @@ SAME_LINE = 1e-9
 
 
 def graded_half_edge(length_m: float, elements: int, first_m: float, edge_m: float) -> FloatArray:
-    """Return grid lines from 0 to `length_m`: the first element `first_m` long, a line at `edge_m`.
+    """Place grid lines from 0 to `length_m`, the first at `first_m`, one at `edge_m`.
 
     Two geometric progressions meet at the edge of the patch, the second continuing the sizes of the
     first; their lengths are chosen so that the two growth factors differ least.
@@ -47,7 +47,7 @@ def graded_half_edge(length_m: float, elements: int, first_m: float, edge_m: flo
 
 
 def _growth(first_m: float, elements: int, length_m: float) -> float:
-    """Return r with ``first (1 + r + ... + r^(n-1)) = length``.
+    """Find the growth r with ``first (1 + r + ... + r^(n-1)) = length``.
 
     A single element takes the complete length.
     """
@@ -58,19 +58,19 @@ def _growth(first_m: float, elements: int, length_m: float) -> float:
 
 
 def _continued_growth(last_m: float, elements: int, length_m: float) -> float:
-    """Return r with ``last (r + r^2 + ... + r^n) = length``."""
+    """Find the growth r with ``last (r + r^2 + ... + r^n) = length``."""
     largest = (length_m / last_m) ** (1.0 / elements)
     return _solve_growth(lambda r: last_m * np.sum(r ** np.arange(1, elements + 1)) - length_m, largest)
 
 
 def _solve_growth(excess: Callable[[float], float], largest: float) -> float:
-    """Return the growth factor from one element to the next at which the lines fill the length."""
+    """Solve for the growth factor between neighbouring elements at which the lines fill the length."""
     # Rounding must not leave the root of a single element outside.
     return float(scipy.optimize.brentq(excess, 0.0, largest * (1.0 + 1e-9), xtol=1e-15, rtol=1e-14))
 
 
 def _lines(start_m: float, end_m: float, first_m: float, growth: float, elements: int) -> FloatArray:
-    """Return grid lines whose distances grow by a factor."""
+    """Place grid lines whose distances grow by a constant factor."""
     lines = start_m + np.concatenate(([0.0], np.cumsum(first_m * growth ** np.arange(elements))))
     lines[-1] = end_m
     return np.asarray(lines)
@@ -79,7 +79,7 @@ def _lines(start_m: float, end_m: float, first_m: float, growth: float, elements
 def graded_edge(
     start_m: float, end_m: float, elements: int, first_m: float, lines_m: Sequence[float]
 ) -> FloatArray:
-    """Return grid lines from `start_m` <= 0 to `end_m`, the contact at 0, a line at each of `lines_m`.
+    """Place grid lines from `start_m` <= 0 to `end_m`, the contact at 0, one at each of `lines_m`.
 
     On either side of the contact the first element is `first_m` long. Beyond, the size grows in
     proportion to the distance, ``first + g (|x| - first)``; g follows from the number of elements, which
@@ -117,7 +117,10 @@ def graded_edge(
 
 
 def _corners(start_m: float, end_m: float, first_m: float, lines_m: Sequence[float]) -> FloatArray:
-    """Return the required lines, rising and each once."""
+    """Return the required grid lines, rising and each once.
+
+    Raise SpecimenError for a patch's edge within the contact's elements.
+    """
     near = SAME_LINE * (end_m - start_m)
     fixed = sorted({start_m, 0.0, end_m})
     for line in (-first_m, first_m, *sorted(lines_m)):
@@ -133,9 +136,13 @@ def _corners(start_m: float, end_m: float, first_m: float, lines_m: Sequence[flo
 
 
 def _sharing_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
-    """Return g for which ``sum ln((1 + g far) / (1 + g near)) / g`` is the number of elements."""
+    """Find the growth g at which the graded pieces need the given number of elements.
+
+    It solves ``sum ln((1 + g far) / (1 + g near)) / g = elements``.
+    """
 
     def excess(g: float) -> float:
+        """Return how many elements the growth g needs beyond the given number."""
         return float(np.sum(np.log1p(g * far) - np.log1p(g * near))) / g - elements
 
     smallest, largest = 1e-9, 1.0
@@ -147,7 +154,7 @@ def _sharing_growth(near: FloatArray, far: FloatArray, elements: int) -> float:
 
 
 def _distribute(wanted: FloatArray, total: int) -> IntArray:
-    """Return whole numbers, at least 1, that add up to `total` and are near `wanted`."""
+    """Round numbers to integers of at least 1 that add up to `total`."""
     counts = np.maximum(1, np.floor(wanted)).astype(np.int64)
     while counts.sum() < total:
         counts[np.argmax(wanted / counts)] += 1
@@ -158,7 +165,10 @@ def _distribute(wanted: FloatArray, total: int) -> IntArray:
 
 
 def _graded_piece(a_m: float, b_m: float, count: int, first_m: float, growth: float) -> FloatArray:
-    """Divide [a, b] into `count` elements whose sizes grow with the distance from 0; b is excluded."""
+    """Divide [a, b] into `count` elements whose sizes grow with the distance from 0.
+
+    Return the lines without b.
+    """
     if count == 1:
         return np.array([a_m])
     sign = -1.0 if a_m < 0.0 else 1.0

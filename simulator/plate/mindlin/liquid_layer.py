@@ -35,7 +35,7 @@ MOST_TERMS = 4096
 
 
 def sine_terms(plate: PlateParameters) -> tuple[int, int]:
-    """Return the numbers of sines along x and y that resolve the liquid about the contact.
+    """Choose the numbers of sine terms along x and y that resolve the liquid about the contact.
 
     Raises
     ------
@@ -66,7 +66,7 @@ def layer_mass(
     symmetric: tuple[bool, bool],
     terms: tuple[int, int] | None = None,
 ) -> scipy.sparse.linalg.LinearOperator:
-    """Return the liquid's mass for the free unknowns of a mesh of the plate or its part.
+    """Create the operator of the liquid's mass on the free unknowns of a mesh.
 
     Parameters
     ----------
@@ -107,6 +107,7 @@ def layer_mass(
     along_x, along_y = sines
 
     def times(values: FloatArray) -> FloatArray:
+        """Multiply vectors of the free unknowns by the liquid's mass."""
         columns = values.reshape(len(free), -1)
         product = np.zeros_like(columns)
         for column in range(columns.shape[1]):

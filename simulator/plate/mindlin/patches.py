@@ -22,7 +22,7 @@ TOUCHING = 1e-9
 
 
 def check_patches(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
-    """Reject patches that extend beyond the plate or overlap.
+    """Check that the patches are within the plate and do not overlap.
 
     Raises
     ------
@@ -58,7 +58,7 @@ def check_patches(plate: PlateParameters, corrosion: CorrosionParameters) -> Non
 
 
 def _overlap(one: PatchParameters, other: PatchParameters) -> bool:
-    """Return whether two outlines have more than their edges in common."""
+    """Check whether two outlines overlap by more than their edges."""
     distances = abs(one.offset_x_m - other.offset_x_m), abs(one.offset_y_m - other.offset_y_m)
     reach = [a + b for a, b in zip(one.half_sizes_m, other.half_sizes_m, strict=True)]
     slack = TOUCHING * min(reach)
@@ -74,7 +74,7 @@ def _overlap(one: PatchParameters, other: PatchParameters) -> bool:
 
 
 def patch_lines(corrosion: CorrosionParameters, contact_element_m: float) -> tuple[list[float], list[float]]:
-    """Return the coordinates x and y that need a grid line, besides the contact's.
+    """Return the coordinates x and y, in m, that need a grid line in addition to the contact's.
 
     They are the edges of all patches; a circle has those of its bounding square. A smooth profile also
     has lines half-way to its middle, except within the elements at the contact.
@@ -92,7 +92,7 @@ def patch_lines(corrosion: CorrosionParameters, contact_element_m: float) -> tup
 
 
 def symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) -> tuple[bool, bool]:
-    """Return whether plate, contact and patches are symmetric in x, and in y."""
+    """Check whether plate, contact and patches are symmetric in x, and in y."""
     patches = set(corrosion.patches)
     in_x = plate.contact_x_m == 0.0 and {replace(p, offset_x_m=-p.offset_x_m) for p in patches} == patches
     in_y = plate.contact_y_m == 0.0 and {replace(p, offset_y_m=-p.offset_y_m) for p in patches} == patches
@@ -102,7 +102,7 @@ def symmetric_axes(plate: PlateParameters, corrosion: CorrosionParameters) -> tu
 def patch_fraction(
     x_m: FloatArray, y_m: FloatArray, patch: PatchParameters | CorrosionParameters
 ) -> FloatArray:
-    """Return the fraction of each element's area within one outline, the first of `CorrosionParameters`.
+    """Compute the fraction of each element's area within one patch's outline.
 
     Returns
     -------
@@ -124,12 +124,13 @@ def patch_fraction(
 
 
 def _disk_corner_area(x_m: FloatArray, y_m: FloatArray, radius_m: float) -> FloatArray:
-    """Return the signed area of the disk within the rectangle from the origin to (x, y)."""
+    """Compute the signed area of a disk within the rectangle from the origin to (x, y)."""
     x = np.minimum(np.abs(x_m), radius_m)
     y = np.minimum(np.abs(y_m), radius_m)
     flat = np.minimum(np.sqrt(radius_m**2 - y**2), x)  # up to here the rectangle's top is inside
 
     def below_arc(t: FloatArray) -> FloatArray:
+        """Return the area below the arc between 0 and t."""
         arc = t * np.sqrt(np.maximum(radius_m**2 - t**2, 0.0)) + radius_m**2 * np.arcsin(t / radius_m)
         return np.asarray(0.5 * arc)
 
@@ -138,7 +139,7 @@ def _disk_corner_area(x_m: FloatArray, y_m: FloatArray, radius_m: float) -> Floa
 
 
 def profile_depth(x_m: FloatArray, y_m: FloatArray, patch: PatchParameters) -> FloatArray:
-    """Return the depth of one smooth patch at points relative to its middle, 0 outside."""
+    """Evaluate the depth of a smooth patch at points, relative to its middle; 0 outside."""
     half_x, half_y = patch.half_sizes_m
     u, v = (x_m - patch.offset_x_m) / half_x, (y_m - patch.offset_y_m) / half_y
     law = _bowl if patch.profile == "bowl" else _cosine

@@ -77,13 +77,13 @@ class AffinePlate:
     added_mass: sparse.linalg.LinearOperator | None = None
 
     def at_depth(self, depth_fraction: float) -> tuple[sparse.csc_matrix, sparse.csc_matrix]:
-        """Return stiffness and mass, without that of a liquid, with the patch thinned by `depth_fraction`."""
+        """Compute stiffness and mass with the patch thinned by `depth_fraction`, without a liquid's mass."""
         s = 1.0 - depth_fraction
         return _at(self.stiffness, s), _at(self.mass, s)
 
 
 def _at(coefficients: Cubic, s: float) -> sparse.csc_matrix:
-    """Return the cubic matrix polynomial at a thickness."""
+    """Evaluate a cubic matrix polynomial at the relative thickness s."""
     c0, c1, c2, c3 = coefficients
     lower = c0 + s * c1
     if c2.nnz:
@@ -110,7 +110,7 @@ class PlateThinning:
     profile: FloatArray
 
     def coefficients(self, power: int) -> FloatArray:
-        """Return coefficients of 1, s, s^2, s^3 in the thickness to `power`.
+        """Return coefficients of 1, s, s^2, s^3 in the relative thickness to `power`.
 
         Shape (4, Gauss points, elements).
         """
@@ -122,7 +122,7 @@ class PlateThinning:
 
 
 def _binomial(p: FloatArray, power: int) -> FloatArray:
-    """Return coefficients of 1, s, s^2, s^3 in ``((1 - p) + s p)^power``, new axis first."""
+    """Expand ``((1 - p) + s p)^power`` in 1, s, s^2, s^3; coefficients along a new first axis."""
     terms = [math.comb(power, j) * (1.0 - p) ** (power - j) * p**j for j in range(power + 1)]
     return np.stack([*terms, *[np.zeros_like(p)] * (3 - power)])
 
@@ -130,7 +130,7 @@ def _binomial(p: FloatArray, power: int) -> FloatArray:
 def build_plate(
     plate: PlateParameters, corrosion: CorrosionParameters, *, whole: bool = False
 ) -> AffinePlate:
-    """Assemble the plate of `plate` with the patches of `corrosion` (their depth is not used).
+    """Assemble the plate with the patches of `corrosion`; their depth is not used.
 
     Parameters
     ----------
@@ -168,7 +168,7 @@ def build_plate(
 def _edge_lines(
     plate: PlateParameters, edge_m: float, contact_m: float, lines_m: list[float], half: bool
 ) -> FloatArray:
-    """Return grid lines along one edge, or along the half with positive coordinates."""
+    """Place grid lines along one edge, or along its half with positive coordinates."""
     first_m, elements = plate.contact_element_m, plate.elements_per_edge
     if not half:
         return graded_edge(-0.5 * edge_m - contact_m, 0.5 * edge_m - contact_m, elements, first_m, lines_m)
@@ -207,7 +207,7 @@ def assemble(
     *,
     symmetric: tuple[bool, bool],
 ) -> AffinePlate:
-    """Return element matrices, their sum and boundary conditions, for any tensor grid with a line at 0.
+    """Assemble stiffness, mass and boundary conditions on any tensor grid with a line at 0.
 
     Parameters
     ----------
@@ -228,6 +228,7 @@ def assemble(
     scale = 2.0 ** sum(symmetric)
 
     def matrix(elements: _Elements) -> sparse.csc_matrix:
+        """Assemble the sparse matrix of the free unknowns from element matrices."""
         order, matrices = elements
         index = number[dof[order]]
         rows = np.broadcast_to(index[:, :, None], matrices.shape)
@@ -262,7 +263,10 @@ def _element_coefficients(
     pristine: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     thinning: PlateThinning,
 ) -> tuple[list[_Elements], list[_Elements]]:
-    """Return coefficients of 1, s, s^2, s^3 of stiffness and mass, with the elements where they act."""
+    """Compute each element's coefficients of 1, s, s^2, s^3 in stiffness and mass.
+
+    They come with the elements where they act.
+    """
     bending, shear, translation, rotation = pristine
     linear, cubic = thinning.coefficients(1), thinning.coefficients(3)
     is_uneven = thinning.profile.any(axis=0)
@@ -290,7 +294,7 @@ def _element_coefficients(
 def _load(
     plate: PlateParameters, x_m: FloatArray, y_m: FloatArray, symmetric: tuple[bool, bool]
 ) -> FloatArray:
-    """Return a unit force on all unknowns: at the contact's node, or spread over its circle."""
+    """Return a unit force on all unknowns, at the contact's node or spread over its circle."""
     load = np.zeros((len(x_m), len(y_m), DOF_PER_NODE))
     if plate.contact == "patch":
         load[:, :, 0] = hertz_nodal_weights(x_m, y_m, plate.contact_radius_m, symmetric=symmetric)
@@ -300,7 +304,7 @@ def _load(
 
 
 def _element_nodes(n_x: int, n_y: int) -> IntArray:
-    """Return node numbers of each element, counter-clockwise, shape (elements, 4)."""
+    """Return the node numbers of each element, counter-clockwise, shape (elements, 4)."""
     first = (np.arange(n_x - 1)[:, None] * n_y + np.arange(n_y - 1)).ravel()
     return np.stack((first, first + n_y, first + n_y + 1, first + 1), axis=1)
 
@@ -308,7 +312,7 @@ def _element_nodes(n_x: int, n_y: int) -> IntArray:
 def _free_unknowns(
     plate: PlateParameters, x_m: FloatArray, y_m: FloatArray, symmetric: tuple[bool, bool]
 ) -> IntArray:
-    """Return the free unknowns: w and, along an edge, the tangential rotation.
+    """Return the numbers of the free unknowns: w and, along an edge, the tangential rotation.
 
     W and, along an edge, the tangential rotation.
     """

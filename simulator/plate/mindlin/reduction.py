@@ -37,7 +37,7 @@ of the liquid, so that its own space alone would stop converging at some 1e-5.""
 
 
 def reduce_plate(plate: AffinePlate, *, basis: tuple[tuple[float, int], ...] = BASIS) -> ReducedPlate:
-    """Project `plate` onto the merged Krylov spaces of `basis`, pairs of a depth and a number of vectors."""
+    """Project a plate onto merged Krylov spaces; `basis` pairs depths with numbers of vectors."""
     order = _far_end_first(plate)
     shifted = tuple(k + SHIFT_RAD_PER_S**2 * m for k, m in zip(plate.stiffness, plate.mass, strict=True))
     factors, static_factors = FactorFamily(shifted, order), FactorFamily(plate.stiffness, order)
@@ -75,7 +75,7 @@ def _far_end_first(plate: AffinePlate) -> NDArray[np.int64]:
 
 
 def _space(plate: AffinePlate, factors: FactorFamily, depth: float, vectors: FloatArray) -> FloatArray:
-    """Fill the rows of `vectors` with a Krylov space; return columns that make modes of them.
+    """Write a Krylov space into the rows of `vectors`; return columns that make modes of them.
 
     Each mode is as strong as its part in the response.
     """
@@ -85,6 +85,7 @@ def _space(plate: AffinePlate, factors: FactorFamily, depth: float, vectors: Flo
     liquid = plate.added_mass
 
     def mass(x: FloatArray) -> FloatArray:
+        """Multiply by the mass matrix, that of a liquid included."""
         return np.asarray(matrix @ x if liquid is None else matrix @ x + liquid @ x)
 
     diagonal, off_diagonal = lanczos(lambda x: factors.solve(factor, x), mass, plate.load, vectors)
@@ -95,14 +96,17 @@ def _space(plate: AffinePlate, factors: FactorFamily, depth: float, vectors: Flo
 
 
 def _turn_load_last(vectors: FloatArray, load: FloatArray) -> None:
-    """Reflect the basis so that the load, `load` in its coordinates, has its last direction."""
+    """Reflect the basis in place so that the load has its last direction.
+
+    `load` is in the basis' coordinates.
+    """
     normal = load / linalg.norm(load)
     normal[-1] += 1.0 if normal[-1] >= 0.0 else -1.0
     vectors -= np.outer(2.0 / (normal @ normal) * normal, normal @ vectors)
 
 
 def _projected(terms: tuple[sparse.csc_matrix, ...], vectors: FloatArray) -> FloatArray:
-    """Return the Galerkin projection of each term onto the rows of `vectors`, shape (4, r, r)."""
+    """Project each term onto the rows of `vectors` (Galerkin), shape (4, r, r)."""
     projected = np.zeros((len(terms), len(vectors), len(vectors)))
     columns = np.ascontiguousarray(vectors.T)
     for term, into in zip(terms, projected, strict=True):

@@ -24,7 +24,7 @@ WIDE_RADIUS = 0.02
 def half_space_indentation_m_per_n(
     youngs_modulus_pa: float, poisson_ratio: float, contact_radius_m: float
 ) -> float:
-    """Return the half-space's mean deflection under a unit force, ``0.6 (1 - nu^2) / (E a)``.
+    """Compute a half-space's mean deflection under a unit force, ``0.6 (1 - nu^2) / (E a)``.
 
     Under ``p = p0 sqrt(1 - r^2 / a^2)``, ``p0 = 3 F / (2 pi a^2)``, the surface within the circle sinks by
     ``u(r) = pi p0 (1 - nu^2) (2 a^2 - r^2) / (4 E a)`` (Johnson 1985, Contact Mechanics, equation 3.41a,
@@ -39,7 +39,7 @@ def half_space_indentation_m_per_n(
 
 
 def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: FloatArray) -> FloatArray:
-    """Return the loaded face's deflection per pressure ``sin ax sin by``, ``k^2 = a^2 + b^2``.
+    """Compute the loaded face's deflection per pressure ``sin ax sin by``, ``k^2 = a^2 + b^2``.
 
     Exact for hard simple support: half the load presses both faces against each other, half bends,
 
@@ -57,7 +57,10 @@ def surface_flexibility_m_per_pa(plate: PlateParameters, thickness_m: float, k: 
 
 
 def hertz_transform(q: FloatArray) -> FloatArray:
-    """Return Hertz's pressure transformed over its force, ``3 (sin q - q cos q) / q^3`` with q = k a."""
+    """Return the Fourier transform of Hertz's pressure per force at q = k a.
+
+    It is ``3 (sin q - q cos q) / q^3``.
+    """
     return np.asarray(3.0 * (np.sin(q) - q * np.cos(q)) / q**3)
 
 
@@ -74,6 +77,7 @@ def exact_contact_compliance_m_per_n(
     plane_pa = plane_modulus_pa(plate.warm_youngs_modulus_pa, plate.poisson_ratio)
 
     def beyond_half_space(k: FloatArray) -> FloatArray:
+        """Return the plate's flexibility at wave number k less the half-space's."""
         return surface_flexibility_m_per_pa(plate, thickness_m, k) - 2.0 / (plane_pa * k)
 
     total = _series(sizes, plate.contact_radius_m, WAVES_PER_THICKNESS / thickness_m, beyond_half_space)
@@ -88,7 +92,7 @@ def _series(
     highest_per_m: float,
     flexibility: Callable[[FloatArray], FloatArray],
 ) -> float:
-    """Sum the waves that move the centre, each weighted by Hertz's pressure twice."""
+    """Sum the waves that move the plate's centre, each weighted by Hertz's pressure twice."""
     alpha, beta = (
         np.arange(1.0, highest_per_m * size / math.pi + 2.0, 2.0) * (math.pi / size) for size in sizes
     )

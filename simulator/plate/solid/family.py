@@ -65,7 +65,10 @@ class SolidFamily:
     residual: FloatArray
 
     def modes(self, remaining: float) -> PlateModes:
-        """Return modes with the fraction `remaining` of the thickness within the patch, ready for a shot."""
+        """Compute modes with the fraction `remaining` of the thickness within the patch.
+
+        They are ready for a shot: no negative residual compliance.
+        """
         added = float(chebyshev.chebval(_log_place(remaining), self.residual))
         return passive_modes(self.projected.modes(remaining, added))
 
@@ -81,7 +84,10 @@ def family_of(arrays: Mapping[str, FloatArray]) -> SolidFamily:
 
 
 def _log_place(remaining: float) -> float:
-    """Return the position on -1..1 of a remaining fraction between the deepest patch's and all."""
+    """Map a remaining fraction of the thickness to -1..1 by its logarithm.
+
+    The ends are the deepest patch and the full thickness.
+    """
     return 1.0 - 2.0 * math.log(remaining) / math.log(1.0 - DEEPEST_PATCH_FRACTION)
 
 
@@ -90,7 +96,7 @@ def solid_family(
     corrosion: CorrosionParameters,
     depths: tuple[tuple[float, int], ...] = FAMILY,
 ) -> SolidFamily:
-    """Merge the Krylov spaces at `depths` and project the plate onto them.
+    """Merge the Krylov spaces at `depths` and project the solid plate onto them.
 
     Parameters
     ----------
@@ -119,5 +125,5 @@ def solid_family(
 
 
 def _at(corrosion: CorrosionParameters, lost: float) -> CorrosionParameters:
-    """Return the patch with this part of the thickness lost."""
+    """Return the patch with this fraction of the thickness lost."""
     return replace(corrosion, depth_fraction=lost, depth_factor=1.0)

@@ -30,7 +30,7 @@ CUT_POINTS = 16
 def patch_integrals(
     x: Axis, y: Axis, corrosion: CorrosionParameters
 ) -> tuple[FloatArray, dict[tuple[int, int], tuple[FloatArray, ...]]]:
-    """Return the fraction of each element within the patch, and the integrals over a circle's part of it."""
+    """Compute the fraction of each element within the patch, and the integrals over a circle's part."""
     half_x, half_y = corrosion.half_sizes_m
     near_x, near_y = (np.minimum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
     far_x, far_y = (np.maximum(np.abs(a.breaks_m[1:]), np.abs(a.breaks_m[:-1])) for a in (x, y))
@@ -67,7 +67,7 @@ def in_plane_integrals(x: Axis, y: Axis, ex: int, ey: int) -> tuple[FloatArray, 
 
 
 def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tuple[FloatArray, ...]:
-    """Integrate over an element's part within a circle about the origin."""
+    """Integrate over the part of an element within a circle about the origin."""
     left, right = np.sort(np.abs(x.breaks_m[ex : ex + 2]))
     bottom, top = np.sort(np.abs(y.breaks_m[ey : ey + 2]))
     crossings = [math.sqrt(radius_m**2 - side**2) for side in (bottom, top) if side < radius_m]
@@ -100,14 +100,16 @@ def _integrals_within(x: Axis, y: Axis, ex: int, ey: int, radius_m: float) -> tu
 
 
 def _values_on(axis: Axis, interval: int, at_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the shape functions of an element and their slopes at some places."""
+    """Evaluate the shape functions of an element, and their slopes per m, at some coordinates."""
     start, end = axis.breaks_m[interval], axis.breaks_m[interval + 1]
     value, slope = lagrange(axis.degrees[interval], 2.0 * (at_m - start) / (end - start) - 1.0)
     return value, slope * (2.0 / (end - start))
 
 
 def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> FloatArray:
-    """Return nodal loads of a unit force of Hertz's pressure about the origin, shape (nodes of x, of y).
+    """Compute nodal loads of a unit force of Hertz's pressure about the origin.
+
+    The shape is (nodes of x, nodes of y).
 
     The loads add up to one, for a quarter of the plate, too.
     """
@@ -121,7 +123,9 @@ def hertz_nodal_weights(x: Axis, y: Axis, radius_m: float, *, whole: bool) -> Fl
 def in_plane_terms(
     plate: PlateParameters, integrals: tuple[FloatArray, ...]
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Return isotropic elasticity of one element, dependence on z split off; numbered (node, component).
+    """Compute isotropic elasticity of one element, dependence on z split off.
+
+    Unknowns are numbered (node, component).
 
     The stiffness is ``A x (Z Z) + B x (Z' Z') + C x (Z' Z) + its transpose``, the mass ``D x (Z Z)``.
 

@@ -106,14 +106,17 @@ class SolidPlate:
         return int(self.z.first[self.upper]) + 1
 
     def displacements_of(self, ex: int, ey: int) -> IntArray:
-        """Return displacement numbers of one column, shape (nodes in the plane, 3, nodes of z)."""
+        """Return the displacement numbers of one column.
+
+        The shape is (nodes in the plane, 3, nodes of z).
+        """
         nodes_y, nodes_z = self.kinds.shape[1], self.numbers.shape[2]
         nodes = (self.x.nodes_of(ex)[:, None] * nodes_y + self.y.nodes_of(ey)).ravel()
         components = nodes[:, None] * COMPONENTS + np.arange(COMPONENTS)
         return np.asarray(components[:, :, None] * nodes_z + np.arange(nodes_z))
 
     def layer_matrices(self, kind: int, *, upper: bool) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Integrate over z of one layer for nodes of `kind`, see `tensor_basis.Axis.matrices`."""
+        """Integrate over z of one layer for nodes of `kind`; see `tensor_basis.Axis.matrices`."""
         layer = range(self.upper) if upper else range(self.upper, len(self.z.degrees))
         integrals = self.z.matrices(layer)
         if kind == 0:
@@ -179,7 +182,7 @@ def plate_under_contact(plate: SolidPlate, corrosion: CorrosionParameters) -> So
 
 
 def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
-    """Reject parameters that the solid plate does not model."""
+    """Check that the solid model covers the parameters; raise an error for one that it does not."""
     remedy = "use plate.model = 'mindlin'"
     if plate.support == "free":
         raise SpecimenError(f"plate.support is 'free'; the solid plate is held at its edges: {remedy}")
@@ -224,7 +227,7 @@ def check_solid(plate: PlateParameters, corrosion: CorrosionParameters) -> None:
 
 
 def _in_plane_axis(length_m: float, half_m: float, mesh: SolidMesh, h: float, *, round_patch: bool) -> Axis:
-    """Return the mesh of an axis in the plane, refined at contact and patch."""
+    """Mesh an axis in the plane, refined at contact and patch."""
     features = [(0.0, mesh.contact_element * h), (half_m, mesh.edge_element * h)]
     if round_patch:  # the circle crosses every line up to half_m
         features += [(half_m * t, max(mesh.edge_element, 0.25) * h) for t in np.linspace(0.5, 1.0, 9)]
@@ -239,7 +242,10 @@ def _in_plane_axis(length_m: float, half_m: float, mesh: SolidMesh, h: float, *,
 
 
 def _through_axis(lost: float, mesh: SolidMesh, h: float) -> Axis:
-    """Return grid lines at the same fractions of both layers at any depth: shots change smoothly with it."""
+    """Mesh the thickness, with grid lines at the same fractions of both layers at any depth.
+
+    So shots change smoothly with the depth.
+    """
     graded = mesh.degree - 2
     breaks = (1.0 - lost) * h * np.array(UPPER_LINES)
     degrees: tuple[int, ...] = (graded + 1, graded, graded)
@@ -313,7 +319,7 @@ def assembled_solid(
 
 
 def _kinds(x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters, strip_m: float) -> IntArray:
-    """Return the unknowns of each node, see `SolidPlate.kinds`; where a circle cuts, all layers stay."""
+    """Classify the unknowns of each node (`SolidPlate.kinds`); where a circle cuts, all layers stay."""
     half_x, half_y = corrosion.half_sizes_m
     at_x, at_y = np.abs(x.nodes_m)[:, None], np.abs(y.nodes_m)[None, :]
     if corrosion.shape == "round":
@@ -331,7 +337,7 @@ def _kinds(x: Axis, y: Axis, inside: FloatArray, corrosion: CorrosionParameters,
 def _existing_nodes(
     x: Axis, y: Axis, z_nodes: int, upper_nodes: int, inside: FloatArray
 ) -> NDArray[np.bool_]:
-    """Return which nodes belong to an element, shape (nodes of x, of y, of z)."""
+    """Mark the nodes that belong to an element, shape (nodes of x, of y, of z)."""
     existing = np.zeros((int(x.first[-1]) + 1, int(y.first[-1]) + 1, z_nodes), dtype=bool)
     existing[:, :, :upper_nodes] = True
     for ex, ey in np.argwhere(inside < 1.0):
@@ -340,7 +346,7 @@ def _existing_nodes(
 
 
 def _fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Symmetry) -> NDArray[np.bool_]:
-    """Return which displacements the supports and the symmetry planes fix."""
+    """Mark the displacements that the supports and the symmetry planes fix."""
     fixed = np.zeros((*shape, COMPONENTS), dtype=bool)
     clamped = support == "clamped"
     fixed[-1, :, :, 0] = clamped
@@ -357,7 +363,10 @@ def _fixed_displacements(support: str, shape: tuple[int, ...], symmetry: Symmetr
 
 
 def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
-    """Assign numbers to the free displacements; across the diagonal of an eighth u and v change places."""
+    """Assign numbers to the free displacements; -1 marks a fixed one.
+
+    Across the diagonal of an eighth u and v change places.
+    """
     own = np.ones(free.shape, dtype=bool)
     diagonal = np.arange(min(free.shape[:2]))
     if symmetry == "eighth":
@@ -376,7 +385,7 @@ def _numbered(free: NDArray[np.bool_], symmetry: Symmetry) -> IntArray:
 def _lift_matrix(
     numbers: IntArray, kinds: IntArray, shapes: tuple[FloatArray, FloatArray]
 ) -> sparse.csr_matrix:
-    """Return the map from the unknowns to the displacements of all nodes."""
+    """Build the sparse map from the unknowns to the displacements of all nodes."""
     z_nodes = numbers.shape[2]
     flat = numbers.reshape(-1, z_nodes, COMPONENTS)
     rows, columns, values = [], [], []

@@ -43,7 +43,7 @@ SHALLOWEST_FRACTION = 1e-4
 
 
 def contact_correction_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
-    """Return the compliance that the mesh lacks under the contact, from a case with an exact solution.
+    """Compute the compliance that the mesh lacks under the contact, in m/N, from an exact case.
 
     The same elements as those within the patch make a plate of its remaining thickness, simply supported at
     the patch's edge: its averaged deflection is too small, by nearly what that of the whole plate is.
@@ -60,12 +60,12 @@ Fold = tuple[IntArray, sparse.csr_matrix]
 
 
 def column_folds(plate: SolidPlate) -> list[Fold]:
-    """Return sorted unknowns of each column, and the map from them (rows) to its displacements (columns)."""
+    """Return the sorted unknowns of each column, and the map from them to its displacements."""
     return [_fold(plate, int(ex), int(ey)) for ex, ey in plate.columns]
 
 
 def _fold(plate: SolidPlate, ex: int, ey: int) -> Fold:
-    """Return the unknowns of a column of elements, and the matrix that maps them to its nodes."""
+    """Return the sorted unknowns of one column, and the matrix that maps them to its nodes."""
     kind, nodes = _column_kind(plate, ex, ey)
     if kind:
         at = np.ix_(plate.x.nodes_of(ex), plate.y.nodes_of(ey))
@@ -81,7 +81,7 @@ def _fold(plate: SolidPlate, ex: int, ey: int) -> Fold:
 
 
 def _column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
-    """Return the kind of a column's nodes (0 if they differ), and the unknowns (or nodes) of each along z."""
+    """Return the kind of a column's nodes, 0 if they differ, and the unknowns or nodes along z."""
     kinds = plate.kinds[np.ix_(plate.x.nodes_of(ex), plate.y.nodes_of(ey))]
     if kinds.flat[0] and np.all(kinds == kinds.flat[0]):
         kind = int(kinds.flat[0])
@@ -90,7 +90,7 @@ def _column_kind(plate: SolidPlate, ex: int, ey: int) -> tuple[int, int]:
 
 
 def column_matrices(plate: SolidPlate, column: int, fold: sparse.csr_matrix) -> tuple[FloatArray, FloatArray]:
-    """Return stiffness and mass of one column over its unknowns, times its copies in the complete plate."""
+    """Compute stiffness and mass of one column over its unknowns, times its symmetric copies."""
     ex, ey = (int(e) for e in plate.columns[column])
     kind, nodes = _column_kind(plate, ex, ey)
     whole = in_plane_integrals(plate.x, plate.y, ex, ey)
@@ -119,10 +119,11 @@ def _folded(matrix: FloatArray, fold: sparse.csr_matrix) -> FloatArray:
 
 
 def shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[FloatArray], FloatArray]:
-    """Return a solver of ``K + sigma^2 M``."""
+    """Factorize ``K + sigma^2 M`` and return its solver."""
     folds = column_folds(plate)
 
     def cell(column: int) -> FloatArray:
+        """Compute the shifted matrix of one column of elements."""
         stiffness, mass = column_matrices(plate, column, folds[column][1])
         return stiffness + shift_rad_per_s**2 * mass
 
@@ -130,7 +131,10 @@ def shifted_solver(plate: SolidPlate, shift_rad_per_s: float) -> Callable[[Float
 
 
 def mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
-    """Return the product with the mass: per layer an in-plane matrix and one through the thickness."""
+    """Return a function that multiplies by the mass matrix without assembling it.
+
+    Each layer has an in-plane matrix and one through the thickness.
+    """
     shape = int(plate.x.first[-1]) + 1, int(plate.y.first[-1]) + 1
     scale = float(plate.repeats.min()) * plate.parameters.density_kg_per_m3
     layers = []
@@ -152,6 +156,7 @@ def mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
     lift, lower = plate.lift, plate.lift.T.tocsr()
 
     def product(x: FloatArray) -> FloatArray:
+        """Multiply a vector of the unknowns by the mass matrix."""
         field = (lift @ x).reshape(shape[0] * shape[1], -1)
         total = np.zeros((len(field) * COMPONENTS, len(layers[0][1])))
         for in_plane, through in layers:
@@ -162,7 +167,7 @@ def mass_product(plate: SolidPlate) -> Callable[[FloatArray], FloatArray]:
 
 
 def krylov_fields(plate: SolidPlate, vectors: int) -> FloatArray:
-    """Return the load's mass-orthonormal Krylov space as nodal displacements, shape (n, vectors)."""
+    """Build the load's mass-orthonormal Krylov space as nodal displacements, shape (n, vectors)."""
     solve, mass = shifted_solver(plate, SHIFT_RAD_PER_S), mass_product(plate)
     basis = np.empty((vectors, len(plate.load)))
     mass_basis = np.empty_like(basis)
@@ -199,7 +204,7 @@ class ProjectedSolid:
     load: FloatArray
 
     def modes(self, remaining: float, residual_compliance_m_per_n: float) -> PlateModes:
-        """Return modes with the fraction `remaining` of the thickness left within the patch."""
+        """Compute modes with the fraction `remaining` of the thickness left within the patch."""
         s, lost = remaining, 1.0 - remaining
         factors = np.array([s, 1.0 / s, 1.0, lost, 1.0 / lost if lost else 0.0, 1.0 if lost else 0.0])
         stiffness = np.tensordot(factors, self.stiffness, 1)
@@ -213,7 +218,7 @@ class ProjectedSolid:
 
 
 def project(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
-    """Return each layer's Galerkin projection onto `fields`, displacements of all nodes, shape (n, r)."""
+    """Project each layer onto `fields` (Galerkin), displacements of all nodes, shape (n, r)."""
     count = fields.shape[1]
     stiffness, mass = np.zeros((6, count, count)), np.zeros((2, count, count))
     h = plate.parameters.thickness_m
@@ -240,12 +245,12 @@ def project(plate: SolidPlate, fields: FloatArray) -> ProjectedSolid:
 
 
 def _through(matrix: FloatArray, field: FloatArray) -> FloatArray:
-    """Multiply a field by a matrix."""
+    """Multiply a field by a matrix through the thickness."""
     return np.asarray(np.matmul(matrix, field))
 
 
 def _energy(field: FloatArray, in_plane: FloatArray, through: FloatArray) -> FloatArray:
-    """Return the energy products of fields, separated into in-plane and through-thickness factors."""
+    """Compute energy products of fields from an in-plane and a through-thickness factor."""
     count = field.shape[-1]
     product = in_plane @ through.reshape(len(in_plane), -1)
     return np.asarray(field.reshape(-1, count).T @ product.reshape(-1, count))
@@ -254,7 +259,7 @@ def _energy(field: FloatArray, in_plane: FloatArray, through: FloatArray) -> Flo
 def solid_modes(
     plate: PlateParameters, corrosion: CorrosionParameters, vectors: int = SOLID_VECTORS
 ) -> PlateModes:
-    """Return modes of the solid plate at the depth of `corrosion`, ready for a shot.
+    """Compute modes of the solid plate at the depth of `corrosion`, ready for a shot.
 
     Raises
     ------
@@ -269,7 +274,7 @@ def solid_modes(
 
 
 def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) -> float:
-    """Return the mesh's missing compliance under the contact, less the half-space's part."""
+    """Return the mesh's missing compliance under the contact in m/N, less the half-space's part."""
     indentation = half_space_indentation_m_per_n(
         plate.parameters.warm_youngs_modulus_pa,
         plate.parameters.poisson_ratio,
@@ -279,7 +284,7 @@ def contact_residual_m_per_n(plate: SolidPlate, corrosion: CorrosionParameters) 
 
 
 def _without_patch(corrosion: CorrosionParameters) -> CorrosionParameters:
-    """Return the plate without a patch that is too shallow to matter."""
+    """Remove a patch that is too shallow to matter; return other patches as they are."""
     if corrosion.depth_fraction * corrosion.depth_factor < SHALLOWEST_FRACTION:
         return replace(corrosion, depth_fraction=0.0)
     return corrosion
