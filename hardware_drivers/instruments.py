@@ -123,7 +123,7 @@ class PulseEchoUnit(Protocol):
     """Pulse-echo unit that fires an ultrasonic probe and returns one averaged record."""
 
     def acquire(self, key: ShotKey, timeout_s: float) -> Echo:
-        """Fire, average, return.
+        """Fire the pulser and return the averaged echo of a position.
 
         Raises
         ------

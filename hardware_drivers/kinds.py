@@ -196,7 +196,7 @@ def finding_of_error(subject: str, check: str, error: InstrumentError, otherwise
 
 
 def _no_packages(parameters: object) -> Iterable[str]:
-    """Return no distribution: the kind needs none."""
+    """Return an empty tuple, because the kind needs no distributions."""
     return ()
 
 

@@ -460,7 +460,7 @@ class SetRecord(OfSet):
 
     @property
     def due(self) -> DueSet:
-        """Due time of the set, and the position of an unscheduled one."""
+        """Return the due time of the set, and the position of an unscheduled one."""
         return DueSet(
             set_index=self.set_index,
             unscheduled_index=self.unscheduled_index,

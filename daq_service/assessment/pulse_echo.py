@@ -128,7 +128,7 @@ class PulseEchoAssessor:
         )
 
     def echo_of(self, waveform: Waveform, thickness_m: float) -> EchoReference:
-        """Return the echo of a wall of known thickness as a reference."""
+        """Build the reference echo of a wall of known thickness."""
         settings = self._settings.ultrasound
         return reference_echo(
             waveform,

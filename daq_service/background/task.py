@@ -11,7 +11,7 @@ class BackgroundTask(Protocol):
     """Work that the recorder runs in short pieces while no set is due."""
 
     def run_for(self, seconds: float) -> None:
-        """Do a piece of work.
+        """Process one piece of background work.
 
         Parameters
         ----------
@@ -21,9 +21,9 @@ class BackgroundTask(Protocol):
         return
 
     def after_set(self, set_key: SetKey) -> None:
-        """Note that the rows of a set with records are stored."""
+        """Handle a set with records after its rows are stored."""
         return
 
     def close(self) -> None:
-        """End; the next recorder does the rest."""
+        """Stop the task; the next recorder continues its work."""
         return

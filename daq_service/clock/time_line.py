@@ -38,7 +38,7 @@ class TimeLine:
     ahead_ns: int = 0
 
     def at(self, system_ns: int, elapsed_ns: int) -> TimeLine:
-        """Return the line at a later moment of the boot.
+        """Return the line at a later moment of the same boot.
 
         Between two looks the line runs 500 ppm faster or slower than elapsed time at most, towards the
         system's UTC; it never runs back. A step changes nothing but ``ahead_ns``.

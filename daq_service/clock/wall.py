@@ -69,7 +69,7 @@ class WallClock:
         return None if self._doubted is not None else self._line
 
     def steps(self) -> list[Step]:
-        """Return the steps since the last call."""
+        """Return the clock steps detected since the last call."""
         found, self._steps = self._steps, []
         return found
 

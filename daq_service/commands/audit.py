@@ -74,7 +74,7 @@ class Allowance:
         self._left, self._at_s = float(most), machine.mono_s()
 
     def take(self) -> bool:
-        """Return whether another one is allowed, and count it."""
+        """Count one use and return True if the rate limit allows it, else False."""
         now_s = self._machine.mono_s()
         self._left = min(self._most, self._left + (now_s - self._at_s) / self._every_s)
         self._at_s = now_s

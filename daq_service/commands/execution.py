@@ -82,7 +82,7 @@ class CommandExecutor:
             self._finish(row, self._answers.get(row.id, answer))
 
     def leave(self) -> None:
-        """Answer commands that were not started: this recorder does not execute them."""
+        """Answer the commands that were not started, because this recorder does not execute them."""
         try:
             self.close("the recorder has ended")
         except (StorageError, OSError) as error:

@@ -57,7 +57,7 @@ class TakenSet:
 
     @property
     def tried(self) -> list[Measurement]:
-        """Every attempt, with or without a record."""
+        """Return every attempt, with or without a record."""
         return [*self.shots, *self.echoes, *self.missed]
 
     def progress(self, struck: Collection[str]) -> ProgressOfSet:
@@ -85,7 +85,7 @@ class TakenSet:
             self.echoes.append(measurement)
 
     def wants_restrike(self, taken: Shot | MissedShot) -> bool:
-        """Return whether the quality check repeats a strike, and count the repetition."""
+        """Return whether the quality check repeats a strike; if so, count the repetition."""
         position = taken.key.position
         flags = ("missed",) if isinstance(taken, MissedShot) else self.features[taken.sequence].flags
         granted = self.rule.wants(flags, attempt=taken.key.attempt, restrikes_so_far=self.restrikes[position])
@@ -164,7 +164,7 @@ class Activity:
         self.looks: Sequence[Callable[[], None]] = ()
 
     def beat(self, *, at_once: bool = False) -> None:
-        """Show what the recorder does, what a person shall do, and what waits for the disk."""
+        """Write the heartbeat: activity, request to a person, and sets that wait for the disk."""
         waits, trouble = "", self._persistence.trouble
         if trouble is not None:
             waits = f"{len(self._persistence)} jobs wait in memory for the disk: {trouble.message}"
@@ -172,12 +172,12 @@ class Activity:
         self._resources.heartbeat.beat("; ".join(filter(None, parts)), at_once=at_once)
 
     def announce(self, doing: str) -> None:
-        """Report an activity at once: if it hangs, the supervisor can name it."""
+        """Write an activity to the heartbeat, so that the supervisor can name it if it hangs."""
         self.doing = doing
         self.beat()
 
     def between_shots(self) -> bool:
-        """Beat, watch clock, disk and supply, and look for requests; False once the recorder shall stop."""
+        """Write the heartbeat, check clock, disk, supply and requests; return False if the recorder stops."""
         clock, disk, drive = self._resources.rig.clock, self._resources.disk, self._set_assessor.drive
         if isinstance(clock, WallClock):
             for clock_step in clock.steps():
@@ -262,7 +262,7 @@ class SetAcquisition:
     # Strike by strike -----------------------------------------------------------------------------
 
     def measurements(self, due: DueSet, taken: TakenSet) -> Iterator[Measurement]:
-        """Strike and read; an error of the instruments ends the set, and what came before it is kept."""
+        """Yield the measurements of a set; an instrument error ends it, earlier ones are kept."""
         schedule = self._settings.schedule
         set_plan = SetPlan(
             due=due,
@@ -329,7 +329,7 @@ class SetAcquisition:
         return {name: self.shortfall(name, taken) for name in self._set_assessor.positions_of(due)}
 
     def record_of(self, due: DueSet, taken: TakenSet, cut_short_reason: str) -> SetRecord:
-        """Make the record of a set that is to be stored."""
+        """Build the record of a set that is to be stored."""
         positions = [
             PositionRecord(
                 position=name,

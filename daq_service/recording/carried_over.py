@@ -77,7 +77,7 @@ class CarriedOver:
         return set_key in self.open_sets or set_key in self._rowless_files
 
     def unscheduled(self) -> list[DueSet]:
-        """List open unscheduled sets: where the catalogue was lost, so was the request for them."""
+        """List the open unscheduled sets, also if their requests were lost with the catalogue."""
         found = []
         for set_key, opened in self.open_sets.items():
             if set_key.unscheduled_index:
@@ -91,7 +91,7 @@ class CarriedOver:
         return self._restored(opened)
 
     def _restored(self, opened: OpenSet) -> TakenSet:
-        """Return what an earlier recorder took of a set, with its features."""
+        """Return the acquired part of an open set with its features."""
         taken = taken_before(opened, self._acquisition.restrike_rule())
         taken.features.update({shot.sequence: self._acquisition.features_of(shot) for shot in taken.shots})
         self._persistence.were_acknowledged(item.sequence for item in opened.records)
@@ -146,7 +146,7 @@ class CarriedOver:
                 self.corruption_of[set_key] = f"its file was damaged and is set aside ({error})"
 
     def adopt(self, due: DueSet) -> int | None:
-        """Store the rows of a file whose recorder ended between rename and commit.
+        """Store the rows of a file whose recorder stopped between rename and commit.
 
         Returns
         -------
@@ -169,7 +169,7 @@ class CarriedOver:
 
 
 def taken_before(opened: OpenSet, rule: RestrikeRule) -> TakenSet:
-    """Return what an earlier recorder took of a set; features are added separately."""
+    """Restore the acquired part of a set from the journal; features are added separately."""
     taken = TakenSet(
         rule=rule,
         disabled=dict(opened.disabled),

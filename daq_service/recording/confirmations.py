@@ -95,7 +95,7 @@ class Confirmations:
         moment: Moment,
         transaction: SetCommit,
     ) -> None:
-        """Add what suspicion asks for after a planned set to its transaction, if it may."""
+        """Add a requested confirmation set to the transaction of a scheduled set, if it is allowed."""
         own = [row for row in alarms.values() if row.position == position]
         if disabled_positions(own) or any(row.suppressed == "out_of_service" for row in own):
             return
@@ -111,7 +111,7 @@ class Confirmations:
             self.add(reason, planned, position, moment, transaction)
 
     def order(self, planned: DueSet, position: str, author: str, note: str, moment: Moment) -> SetCommit:
-        """Return the request of a person; a ValueError states why the set cannot be taken."""
+        """Build the request of a person for a set; raise ValueError with the reason if it is rejected."""
         if too_late := overlap_reason(self.room_ns(planned, moment.utc_ns), self.set_ns):
             raise ValueError(f"{too_late}: that one says the same")
         transaction = SetCommit()
@@ -130,7 +130,7 @@ class Confirmations:
         transaction: SetCommit,
         author: str = "",
     ) -> Confirmation | None:
-        """Add the event that asks for a set after a planned one; None: there are too many already."""
+        """Add the request event for a set after a planned one; return None if there are too many."""
         requested = [
             confirmation_from_payload(str(event.position), event.payload)
             for event in transaction.events
@@ -149,7 +149,7 @@ class Confirmations:
     def with_result(
         self, last: ConfirmationResult, conditions: Sequence[Condition], planned_set: int
     ) -> Sequence[Condition]:
-        """Add the last confirmation set of a position to the evidence of a change, if it is new enough."""
+        """Add the newest confirmation result of a position to the evidence of a change, if it is recent."""
         if planned_set - last.set_index >= self._rules.n:
             return conditions
         confirmation = {"confirmation": asdict(last)}

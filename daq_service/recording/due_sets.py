@@ -137,17 +137,17 @@ class DueSets:
     # Unscheduled sets -----------------------------------------------------------------------------
 
     def _requested(self) -> list[DueSet]:
-        """List what waits, in the order of the sets; what was started waits for the disk at most."""
+        """List the requested sets in their order; a started one only waits for the disk."""
         found = {due.set_key: due for due in self._carried_over.unscheduled()}
         found |= {key: one.due for key, one in self._set_assessor.confirmations.waiting.items()}
         return [found[key] for key in sorted(found.keys() - self._started_unscheduled)]
 
     def _idle_unless_requested(self) -> bool:
-        """Return whether to keep waiting: nothing has been requested."""
+        """Return whether to keep waiting, because no set has been requested."""
         return self._waiting.between_sets() and not self._requested()
 
     def _unscheduled_before(self, scheduled: DueSet | None) -> Iterator[DueSet]:
-        """Yield what to take before a scheduled set; None: after the last one."""
+        """Yield the unscheduled sets that precede a scheduled one; None: after the last one."""
         for due in self._requested():
             if not self._stop.is_set() and (scheduled is None or due.set_index < scheduled.set_index):
                 self._started_unscheduled.add(due.set_key)
@@ -155,7 +155,7 @@ class DueSets:
                     yield due
 
     def hindrance(self, due: DueSet) -> str:
-        """Return why a due set is not acquired; empty: it is."""
+        """Return the reason why a due set is not acquired; empty if it is acquired."""
         if due.position is not None and (reason := self._unscheduled_hindrance(due, due.position)):
             return reason
         if self._commands.paused or self._persistence.trouble is None or self._persistence.has_room:
@@ -163,7 +163,7 @@ class DueSets:
         return f"the memory for what waits is full: {self._persistence.trouble.message}"
 
     def _unscheduled_hindrance(self, due: DueSet, position: str) -> str:
-        """Return why an unscheduled set cannot be taken: late or transducer disabled; empty: it can."""
+        """Return why an unscheduled set is rejected (late, or transducer disabled); empty if it is not."""
         if reason := self._set_assessor.disabled().get(position):
             return reason
         now_ns = self._clock.utc_ns()

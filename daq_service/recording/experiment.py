@@ -25,7 +25,7 @@ log = logging.getLogger(__name__)
 
 
 def kept_experiment(folder: Path, history: History, archive: SetReader) -> ExperimentRow | None:
-    """Find out without a catalogue which experiment a folder holds; None: nothing was begun here.
+    """Find the experiment of a folder without a catalogue; return None for a new folder.
 
     Raises
     ------
@@ -44,7 +44,7 @@ def kept_experiment(folder: Path, history: History, archive: SetReader) -> Exper
 
 
 def _of_the_files(archive: SetReader) -> ExperimentRow | None:
-    """Read it from the first set that can be read; when it was begun and on which clock follow from there."""
+    """Read the experiment from the first readable set: its start and its clock follow from there."""
     for reference in archive.sets().values():
         try:
             record = archive.read_set(reference, skip_damaged=True)
@@ -81,7 +81,7 @@ def foreign_reason(record: SetRecord, experiment: ExperimentRow) -> str:
 
 
 def _hour_0(record: SetRecord) -> int:
-    """Return hour 0: every file gives it by its due time, and since format 1.2 as a field."""
+    """Return hour 0 of the test, from the file's field (format 1.2) or the due time of its set."""
     counted: int = record.due_utc_ns - round(record.due_h * NS_PER_H)
     return int(record.provenance.get("experiment", {}).get("epoch_utc_ns", counted))
 

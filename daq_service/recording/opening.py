@@ -94,7 +94,7 @@ class OpeningAlarm:
         self._reported = False
 
     def carry(self, trouble: InstrumentError | None) -> None:
-        """Report what prevents the opening, None: nothing; store the alarm if the disk permits."""
+        """Report the error that prevents the opening, None for none; store the alarm if the disk permits."""
         condition, moment = opening_condition(trouble), self._moment()
         try:
             change = self._carried(condition, moment)

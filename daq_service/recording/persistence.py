@@ -105,7 +105,7 @@ class Persistence:
     # The queue ------------------------------------------------------------------------------------
 
     def do(self, job: Callable[[], None], *, n_bytes: int = 0) -> None:
-        """Run a job after all jobs before it; at once if none waits.
+        """Run a job after all queued jobs; at once if none waits.
 
         Parameters
         ----------
@@ -120,7 +120,7 @@ class Persistence:
             self.run_all()
 
     def attempt(self, job: Callable[[], None]) -> None:
-        """Do something that the disk may refuse: then it waits for the disk, or is tried at the next look."""
+        """Run a job; after a disk error queue it, or leave it to the next check if others already wait."""
         if self.trouble is None:
             self.do(job)
         else:

@@ -27,7 +27,7 @@ def time_before(
     elapsed_ns: int,
     doubt_after_h: float,
 ) -> Before:
-    """Gather it from the newest rows and, on the same boot, from the last sign of life.
+    """Read the last known test time from the newest rows and, on the same boot, the last heartbeat.
 
     The heartbeat is a hint that a power cut may take; but then the boot is another one, and its pair of times
     unreliable. The offset of the system's clock is the one that was stored last.

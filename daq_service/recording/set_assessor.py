@@ -131,7 +131,7 @@ class SetAssessor:
         *,
         sha256: str | None = None,
     ) -> SetCommit:
-        """Assess every position, once: rows, alarms and events of one transaction, to be committed.
+        """Assess every position once; return rows, alarms and events as one transaction to commit.
 
         An unscheduled set is assessed at its own position, and does not change later assessments.
 
@@ -193,7 +193,7 @@ class SetAssessor:
         return self.with_environment(due, moment, transaction)
 
     def without_records(self, due: DueSet, position: str, *, disabled: bool, reason: str) -> SetRow:
-        """Make the row of a position that gave not one record, or was not asked for any."""
+        """Build the row of a position without records, or that was not measured."""
         return SetRow(
             set_index=due.set_index,
             unscheduled_index=due.unscheduled_index,
@@ -212,7 +212,7 @@ class SetAssessor:
         return list(self._settings.positions) if due.position is None else [due.position]
 
     def update_alarm(self, condition: Condition, moment: Moment) -> None:
-        """Store what becomes of an alarm that belongs to no set."""
+        """Store the new state of an alarm that belongs to no set."""
         transaction = SetCommit()
         self.carry_alarm(condition, moment, transaction)
         if transaction.events:
@@ -229,7 +229,7 @@ class SetAssessor:
             self.commit(transaction)
 
     def _unanswered(self, record: SetRecord) -> str:
-        """Return why no instrument of a method answered in a set; empty: each method has a record."""
+        """Return why no instrument of a method responded in a set; empty if each method has a record."""
         for names in self._positions_by_method:
             if not any(item.key.position in names for item in record.records):
                 missed = [item for item in record.missed if item.key.position in names]
@@ -238,7 +238,7 @@ class SetAssessor:
         return ""
 
     def _may_end(self, position: str | None, kind: str) -> bool:
-        """Return whether there is an alarm, or a delay before one, that an absent condition ends."""
+        """Return whether an absent condition ends an alarm, or the delay before one."""
         return (position, kind) in self.alarms or (position, kind) in self._delayed_since_ns
 
     def carry_alarm(self, condition: Condition, moment: Moment, transaction: SetCommit) -> None:
@@ -402,7 +402,7 @@ class PositionAssessors:
         self.enabled = True
 
     def renew(self, position: str) -> None:
-        """Assess by what is stored from the next set on: a person has renewed the baseline."""
+        """Assess the following sets by the stored state, because a person has renewed the baseline."""
         self._assessors.pop(position, None)
         self._stored.pop(position, None)
 
@@ -436,7 +436,7 @@ class PositionAssessors:
 def state_rows(
     before: Any, after: Any, *, position: str, baseline_id: int | None, configuration_hash: str
 ) -> list[AssessorStateRow]:
-    """Return the rows of a state that differ from those of the state before; None: all of them."""
+    """Return the rows of a state that differ from those of the earlier state; all of them if it is None."""
     parts = {"frozen": FROZEN_FIELDS, "running": {item.name for item in fields(after)} - FROZEN_FIELDS}
     rows = []
     for part, names in parts.items():

@@ -50,7 +50,7 @@ class Waiting:
         persistence.on_change = self._report_trouble
 
     def between_sets(self) -> bool:
-        """Run the background tasks, beat and look; False once the recorder shall stop."""
+        """Run the background tasks, heartbeat and requests between sets; return False to stop."""
         seconds = (self.free_until_ns - self._resources.rig.clock.utc_ns()) / NS_PER_S
         self._persistence.run_for(seconds)
         for task in self._resources.tasks:  # none that can wait, while the disk takes nothing
@@ -82,14 +82,14 @@ class Waiting:
             stop.wait(host.look_every_s)
 
     def linger(self) -> None:
-        """Listen to the operator, strike nothing, until ``stop`` is set."""
+        """Execute operators' commands without acquiring sets, until ``stop`` is set."""
         self.activity.doing = "waiting for commands; every set is taken"
         self.free_until_ns = math.inf
         while self.between_sets():
             self._resources.stop.wait(self._resources.host.look_every_s)
 
     def end(self) -> None:
-        """Show that the recorder leaves."""
+        """Write to the heartbeat that the recorder ends."""
         self._resources.heartbeat.stage, self.activity.doing = "ended", "leaving"
         self.activity.beat(at_once=True)
 

@@ -92,7 +92,7 @@ def open_supply(settings: Settings, clock: Clock) -> Iterator[PowerSupply]:
 
 
 def opening_of(item: Instrument, settings: Settings, clock: Clock) -> Opening:
-    """Return how an instrument is opened for a look at it."""
+    """Build the opening of an instrument that is opened for a check."""
     return Opening(
         clock=clock,
         serves=item.serves,
@@ -222,7 +222,7 @@ class _AnnouncedDigitizer:
         self.digitizer.arm(key)
 
     def read(self, timeout_s: float) -> Acquired:
-        """Return the record."""
+        """Return the record of the announced strike."""
         return self.digitizer.read(timeout_s)
 
     def disarm(self) -> None:

@@ -264,7 +264,7 @@ def _open(parameters: PlaybackParameters, opening: Opening) -> Iterator[Opened]:
 
 
 def _check(parameters: PlaybackParameters, opening: Opening) -> Iterator[Finding]:
-    """Yield that a playback has no boards to check."""
+    """Yield the finding that a playback has no boards to check."""
     yield Finding(subject="rig", check="", state="ok", detail="playback: no boards to look at")
 
 

@@ -220,7 +220,7 @@ def _needs_own_process(settings: Settings, n_sets: int) -> bool:
 
 
 def _check(parameters: TwinOfTheExperiment, opening: Opening) -> Iterator[Finding]:
-    """Yield that the twin has no boards to check."""
+    """Yield the finding that the twin has no boards to check."""
     yield Finding(subject="rig", check="", state="ok", detail="simulated: no boards to look at")
 
 

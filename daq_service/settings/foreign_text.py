@@ -76,7 +76,7 @@ class PlainStream:
         self.stream = stream
 
     def write(self, text: str) -> int:
-        """Write a text."""
+        """Write a text with its control characters escaped."""
         return self.stream.write(without_controls(text))
 
     def __getattr__(self, name: str) -> object:
@@ -100,9 +100,9 @@ class OneLineFormatter(logging.Formatter):
     """A record is one line, with the lines of a traceback indented below it: none can be forged."""
 
     def formatMessage(self, record: logging.LogRecord) -> str:  # noqa: N802 - logging's name
-        """Format the line itself."""
+        """Format a log message in one line, with control characters escaped."""
         return in_one_line(super().formatMessage(record))
 
     def format(self, record: logging.LogRecord) -> str:
-        """Format the line and what follows it."""
+        """Format a log record with its traceback, with control characters escaped."""
         return without_controls(super().format(record)).replace("\n", "\n  ")

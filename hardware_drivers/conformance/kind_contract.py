@@ -46,7 +46,7 @@ class KindContract:
 
     @pytest.fixture
     def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
-        """Return them validated."""
+        """Return the validated parameters of the kind."""
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture

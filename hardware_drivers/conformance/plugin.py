@@ -117,7 +117,7 @@ def _faults(config: pytest.Config) -> tuple[str, ...]:
 
 
 def _is_asked(item: pytest.Item, config: pytest.Config) -> bool:
-    """Check whether the instrument has the suite's role, and a double for a rule that needs one."""
+    """Return whether the instrument has the suite's role, and a double if the rule needs one."""
     if "fault" in getattr(item, "fixturenames", ()) and not _faults(config):
         return False
     return _suite(item) in {"kind", "safety", *config.stash[CHOSEN].serves}

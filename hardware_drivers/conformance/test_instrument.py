@@ -56,17 +56,17 @@ class OnTheBench:
 
     @pytest.fixture
     def table(self, chosen: ChosenInstrument, bench: Bench) -> Mapping[str, object]:
-        """Return its parameters, with those that only the double knows."""
+        """Return the parameters of the instrument, with those that only the double knows."""
         return {**chosen.table, **bench.parameters}
 
     @pytest.fixture
     def parameters(self, kind: Kind[object], table: Mapping[str, object]) -> object:
-        """Return them validated."""
+        """Return the validated parameters of the instrument."""
         return TypeAdapter(kind.parameters).validate_python(table)
 
     @pytest.fixture
     def opening(self, chosen: ChosenInstrument, pytestconfig: pytest.Config) -> Opening:
-        """Return its opening; requests to a person go to the terminal."""
+        """Return the opening of the instrument; requests to a person go to the terminal."""
         capture = pytestconfig.pluginmanager.getplugin("capturemanager")
 
         def ask(request: str) -> None:

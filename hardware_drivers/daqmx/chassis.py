@@ -98,7 +98,7 @@ class Chassis:
     # Turns ---------------------------------------------------------------------------------------
 
     def turn(self, position: str, record: Record = "shot") -> Turn:
-        """Commit a transducer's tasks, after the next step of recovery if something was lost.
+        """Commit the tasks of a transducer, after the next recovery step if the connection was lost.
 
         Parameters
         ----------
@@ -255,7 +255,7 @@ class Chassis:
         raise lost from error
 
     def recovered(self) -> None:
-        """Restart recovery with its first step at the next loss: a sound record came."""
+        """Reset recovery to its first step, because an intact record was read."""
         self._rung = self._lost = 0
 
     def _recover(self) -> None:

@@ -117,7 +117,7 @@ class Connection:
             return create(self._name(role, uuid.uuid4().hex[:8]))
 
     def is_ours(self, owner: str) -> bool:
-        """Check whether the owner of a resource is a task of this program that the driver did not clear."""
+        """Check whether a resource is owned by an uncleared task of this program."""
         return f"solimon-{self._client}-" in owner
 
     def _name(self, role: str, mark: int | str) -> str:

@@ -346,7 +346,7 @@ def _counter_text(parameters: DaqmxParameters, wiring: TransducerWiring) -> str:
 
 
 def _released(committed: Acquisition | Coil) -> str:
-    """Release a committed task, and return what that proved; raise if the driver does not confirm it."""
+    """Release a committed task and return the result in words; raise if the driver does not confirm it."""
     if not committed.close():
         raise ConnectionLostError(
             "committed, but the driver did not take it back; end what else uses the board, or reset it"

@@ -59,7 +59,7 @@ def owner_in(text: str) -> str:
 
 
 def translated(error: Exception, doing: str) -> InstrumentError:
-    """Return the instrument error that a vendor's exception means.
+    """Translate a vendor's exception to an instrument error.
 
     Parameters
     ----------

@@ -56,7 +56,7 @@ _REMEDY: Mapping[type[InstrumentError], str] = {
 
 
 def class_of(code: int, description: str) -> type[InstrumentError]:
-    """Return the class of a driver's error."""
+    """Return the error class of a driver's error code."""
     codes = (code, *map(int, _WRAPPED.findall(description)))
     return next((CLASS_OF_CODE[number] for number in codes if number in CLASS_OF_CODE), UnknownStatusError)
 

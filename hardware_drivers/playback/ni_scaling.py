@@ -103,7 +103,7 @@ def _resolve(source: int, properties: Mapping[str, Any], *, limit: int) -> Polyn
 
 
 def _composed(outer: Polynomial, inner: Polynomial) -> Polynomial:
-    """Return outer of inner; the identity changes no bit."""
+    """Compose two polynomials, outer of inner; the identity changes no bit."""
     if inner.tolist() == [0.0, 1.0]:
         return outer
     if (outer.size - 1) * (inner.size - 1) > _LARGEST_ORDER:

@@ -106,7 +106,7 @@ def onsets(catalogue: Catalogue, up_to_set: int | None = None) -> list[Onset]:
 
 
 def alarm_changes(stored: Iterable[Onset], again: Iterable[Onset]) -> AlarmChanges:
-    """Compare onsets: same set: kept; of the others the first ones of a kind are moved."""
+    """Compare alarm onsets: those of the same set are kept, of the others the first of a kind are moved."""
     before, after = _by_place(stored), _by_place(again)
     kept: list[Onset] = []
     come: list[Onset] = []

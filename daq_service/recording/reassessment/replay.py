@@ -86,7 +86,7 @@ def replayed(
     extract_by: tuple[str, int] | None = None,
     progress: Progress = lambda done, total: None,
 ) -> Replayed:
-    """Reassess a stored test with changed settings, and compare with the stored results.
+    """Reassess a stored test with changed settings; return the differences to the stored results.
 
     Parameters
     ----------

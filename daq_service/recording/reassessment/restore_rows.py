@@ -372,7 +372,7 @@ def _free_ids(
 
 
 def _key(event: EventRow) -> tuple[str, str, str | None]:
-    """Return what identifies an event among those of a set."""
+    """Return the key of an event within its set."""
     return event.topic, event.kind, event.position
 
 
